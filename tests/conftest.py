@@ -1,0 +1,136 @@
+"""Shared fixtures: tiny recordings in the real layouts, and the folder of real KITTI frames."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from uncal.recordings.frame import Frame
+from uncal.recordings.kitti import KittiRaw
+
+IMAGE_SIZE = (24, 80)
+"""Height, width of the generated images."""
+
+_PROJECTIONS = {
+    # K of all cameras; offsets of the structure that KITTI has: none, baseline, all three.
+    0: (0.0, 0.0, 0.0),
+    1: (-0.537, 0.0, 0.0),
+    2: (0.0599, -0.0004, 0.0027),
+    3: (-0.471, 0.0024, 0.0027),
+}
+_K = np.array([[46.0, 0.0, 39.5], [0.0, 46.0, 11.0], [0.0, 0.0, 1.0]])
+
+
+def _rotation(axis: tuple[float, float, float], degrees: float) -> NDArray[np.float64]:
+    unit = np.array(axis) / np.linalg.norm(axis)
+    return np.array(cv2.Rodrigues(unit * np.radians(degrees))[0], dtype=np.float64)
+
+
+def _line(key: str, values: NDArray[np.float64]) -> str:
+    return f"{key}: " + " ".join(f"{value:.6e}" for value in values.ravel())
+
+
+def _projection(camera: int) -> NDArray[np.float64]:
+    projection: NDArray[np.float64] = _K @ np.column_stack([np.eye(3), _PROJECTIONS[camera]])
+    return projection
+
+
+def _lidar_to_camera(degrees: float) -> NDArray[np.float64]:
+    axes_swap = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+    rotation: NDArray[np.float64] = _rotation((1.0, 2.0, -1.0), degrees) @ axes_swap
+    return rotation
+
+
+def _write_frame(image_path: Path, scan_path: Path, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    image_path.parent.mkdir(parents=True, exist_ok=True)
+    scan_path.parent.mkdir(parents=True, exist_ok=True)
+    cv2.imwrite(str(image_path), rng.integers(0, 256, (*IMAGE_SIZE, 3), dtype=np.uint8))
+    points = rng.uniform([-20, -20, -2, 0], [20, 20, 2, 1], (50, 4)).astype(np.float32)
+    points.tofile(scan_path)
+
+
+def _write_raw_date(date_folder: Path, degrees: float) -> None:
+    date_folder.mkdir(parents=True)
+    cameras = ["calib_time: 09-Jan-2012 13:57:47", "corner_dist: 9.950000e-02"]
+    for camera in range(4):
+        cameras += [
+            _line(f"S_rect_0{camera}", np.array(IMAGE_SIZE[::-1], dtype=np.float64)),
+            _line(f"R_rect_0{camera}", _rotation((1.0, 1.0, 0.0), 0.7 + camera)),
+            _line(f"P_rect_0{camera}", _projection(camera)),
+        ]
+    (date_folder / "calib_cam_to_cam.txt").write_text("\n".join(cameras) + "\n")
+    lidar = [
+        "calib_time: 15-Mar-2012 11:37:16",
+        _line("R", _lidar_to_camera(degrees)),
+        _line("T", np.array([-0.004, -0.076, -0.272])),
+    ]
+    (date_folder / "calib_velo_to_cam.txt").write_text("\n".join(lidar) + "\n")
+    imu = [_line("R", np.eye(3)), _line("T", np.array([-0.8, 0.3, -0.8]))]
+    (date_folder / "calib_imu_to_velo.txt").write_text("\n".join(imu) + "\n")
+
+
+@pytest.fixture
+def kitti_raw_root(tmp_path: Path) -> Path:
+    """KITTI raw: 2 dates, drives 0001 (4 frames) and 0002 (3) of the first, 0005 (2) of the second.
+
+    image_02 everywhere and image_00 in drive 0001; timestamps for the first 3 frames of 0001.
+    """
+    root = tmp_path / "raw"
+    _write_raw_date(root / "2011_09_26", degrees=1.0)
+    _write_raw_date(root / "2011_09_28", degrees=-2.0)
+    for seed, (date, number, n_frames) in enumerate(
+        [("2011_09_26", "0001", 4), ("2011_09_26", "0002", 3), ("2011_09_28", "0005", 2)]
+    ):
+        drive = root / date / f"{date}_drive_{number}_sync"
+        for index in range(n_frames):
+            scan = drive / "velodyne_points" / "data" / f"{index:010d}.bin"
+            for camera in ("image_00", "image_02") if number == "0001" else ("image_02",):
+                image = drive / camera / "data" / f"{index:010d}.png"
+                _write_frame(image, scan, seed=100 * seed + index)
+    times = [f"2011-09-26 13:02:25.{index}00000000" for index in range(3)]
+    first = root / "2011_09_26" / "2011_09_26_drive_0001_sync"
+    (first / "image_02" / "timestamps.txt").write_text("\n".join(times) + "\n")
+    return root
+
+
+@pytest.fixture
+def kitti_odometry_root(tmp_path: Path) -> Path:
+    """KITTI odometry: sequences 00 and 01 of one calibration, 03 of another; 3 frames each."""
+    root = tmp_path / "odometry"
+    for sequence, degrees in (("00", 1.0), ("01", 1.0), ("03", -2.0)):
+        folder = root / "sequences" / sequence
+        for index in range(3):
+            _write_frame(
+                folder / "image_2" / f"{index:06d}.png",
+                folder / "velodyne" / f"{index:06d}.bin",
+                seed=index,
+            )
+        lines = [_line(f"P{camera}", _projection(camera)) for camera in range(4)]
+        Tr = np.column_stack([_lidar_to_camera(degrees), [-0.012, -0.054, -0.292]])
+        (folder / "calib.txt").write_text("\n".join([*lines, _line("Tr", Tr)]) + "\n")
+        (folder / "times.txt").write_text("0.000000e+00\n1.036224e-01\n2.072000e-01\n")
+    return root
+
+
+@pytest.fixture(scope="session")
+def kitti_root() -> Path:
+    """Real KITTI raw frames: the folder that UNCAL_KITTI names; tests are skipped without it."""
+    root = os.environ.get("UNCAL_KITTI")
+    if not root:
+        pytest.skip("UNCAL_KITTI does not name a folder with real KITTI raw recordings")
+    if not Path(root).is_dir():
+        pytest.fail(f"UNCAL_KITTI names {root}, which is not a folder")
+    return Path(root)
+
+
+@pytest.fixture(scope="session")
+def kitti_frames(kitti_root: Path) -> list[Frame]:
+    """Every eighth of the real KITTI frames."""
+    recording = KittiRaw(kitti_root, stride=8)
+    return [recording.load(frame_id) for frame_id in recording.frame_ids]

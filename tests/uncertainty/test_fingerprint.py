@@ -1,0 +1,64 @@
+from __future__ import annotations
+
+import copy
+
+import pytest
+import torch
+from torch import nn
+
+from uncal.uncertainty import PredictorIdentity, fingerprint
+
+
+def _network() -> nn.Sequential:
+    torch.manual_seed(0)
+    return nn.Sequential(nn.Conv2d(1, 2, 3), nn.BatchNorm2d(2), nn.Dropout(0.25))
+
+
+def test_equal_for_equal_weights_only() -> None:
+    network = _network()
+    twin = copy.deepcopy(network)
+    assert fingerprint(network) == fingerprint(twin)
+    assert len(fingerprint(network)) == 64
+    with torch.no_grad():
+        next(twin.parameters()).view(-1)[0] += 1e-6
+    assert fingerprint(network) != fingerprint(twin)
+
+
+def test_running_statistics_count() -> None:
+    network = _network()
+    before = fingerprint(network)
+    network.train()(torch.randn(4, 1, 8, 8))
+    assert fingerprint(network) != before
+
+
+def test_swapped_weights_differ() -> None:
+    first, second = nn.Linear(1, 1, bias=False), nn.Linear(1, 1, bias=False)
+    assert fingerprint(nn.Sequential(first, second)) != fingerprint(nn.Sequential(second, first))
+
+
+def test_memory_format_and_mode_do_not_count() -> None:
+    network = _network()
+    before = fingerprint(network)
+    assert fingerprint(network.to(memory_format=torch.channels_last).eval()) == before
+
+
+def test_compiled_network_is_the_same() -> None:
+    network = _network()
+    assert fingerprint(torch.compile(network)) == fingerprint(network)
+
+
+@pytest.mark.parametrize("dtype", [torch.bfloat16, torch.float16])
+def test_another_number_type_differs(dtype: torch.dtype) -> None:
+    assert fingerprint(_network().to(dtype)) != fingerprint(_network())
+
+
+def test_identity_differences() -> None:
+    network = _network()
+    then = PredictorIdentity.of(network, passes=25)
+    assert then.rates == (0.25,)
+    assert then.differences(PredictorIdentity.of(network, passes=25)) == []
+    assert then.differences(PredictorIdentity.of(network, passes=10)) == ["passes: 25 then, 10 now"]
+    network.append(nn.Dropout(0.1))
+    assert then.differences(PredictorIdentity.of(network, passes=25)) == [
+        "dropout layers: 1 then, 2 now"
+    ]

@@ -1,0 +1,58 @@
+"""Where the YAML lives, and how entry points end when a user's input is wrong."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from pathlib import Path
+from typing import ParamSpec, TypeVar
+
+from uncal.errors import ConfigurationError, UncalError
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def find_config_dir(package: Path) -> str:
+    """Absolute path of the configuration folder.
+
+    Args:
+        package: folder of the installed package; a checkout has ``conf`` beside it, a wheel in it.
+
+    Raises:
+        ConfigurationError: neither exists.
+    """
+    candidates = [package.parent / "conf", package / "conf"]
+    for candidate in candidates:
+        if (candidate / "simulate.yaml").is_file():
+            return str(candidate)
+    raise ConfigurationError(
+        f"no configuration folder at {' or '.join(map(str, candidates))}; reinstall uncal"
+    )
+
+
+CONFIG_DIR: str = find_config_dir(Path(__file__).resolve().parent)
+"""For ``hydra.main(config_path=CONFIG_DIR, ...)``."""
+
+
+def exits_on_error(main: Callable[P, R]) -> Callable[P, R]:
+    """Make an entry point end with the message alone and exit code 1 on an :class:`UncalError`.
+
+    Stands below ``@hydra.main``, which would otherwise print a traceback.
+
+    >>> @exits_on_error
+    ... def main() -> None:
+    ...     raise UncalError("no frames in /data; set root=...")
+    >>> main()
+    Traceback (most recent call last):
+    SystemExit: no frames in /data; set root=...
+    """
+
+    @functools.wraps(main)
+    def wrapped(*args: P.args, **kwargs: P.kwargs) -> R:
+        try:
+            return main(*args, **kwargs)
+        except UncalError as error:
+            raise SystemExit(str(error)) from error
+
+    return wrapped

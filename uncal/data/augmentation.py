@@ -1,0 +1,74 @@
+"""Training-time augmentation of whole batches, on the device."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from uncal.data.dataset import Batch
+
+
+def mirror(batch: Batch, which: Tensor) -> Batch:
+    """Mirror scenes left-right: image, camera matrix, sweep and extrinsic together.
+
+    With M the reflection of the camera's x axis and L of the LiDAR's y axis, the mirrored rig has
+    ``T' = M · T · L``, again a rigid transform, and sees the mirrored scene exactly as the true
+    rig sees the true one. It doubles the scenes and the rigs.
+
+    Args:
+        batch: B samples.
+        which: (B,) bool, which samples to mirror.
+
+    Returns:
+        The batch, mirrored where asked.
+    """
+    width = batch.image.shape[-1]
+    image = torch.where(which[:, None, None, None], batch.image.flip(-1), batch.image)
+    K = batch.K.clone()
+    K[:, 0, 2] = torch.where(which, width - 1 - K[:, 0, 2], K[:, 0, 2])
+    sign = torch.where(which, -1.0, 1.0)
+    points = batch.points.clone()
+    points[..., 1] *= sign[:, None]
+    T = batch.T_cam_lidar.clone()
+    T[:, 0, :] *= sign[:, None]
+    T[:, :, 1] *= sign[:, None]
+    return batch._replace(image=image, K=K, points=points, T_cam_lidar=T)
+
+
+@dataclass(frozen=True)
+class Augmentation:
+    """What happens to a training batch before it is decalibrated.
+
+    Attributes:
+        mirror: probability of mirroring a sample left-right.
+        brightness: exposure varies by a factor within 1 ± this.
+        contrast: contrast about the image's mean varies by a factor within 1 ± this.
+    """
+
+    mirror: float
+    brightness: float
+    contrast: float
+
+    def __call__(self, batch: Batch) -> Batch:
+        """Augment a batch with torch's global generator.
+
+        Args:
+            batch: B samples on any device.
+
+        Returns:
+            The augmented batch.
+        """
+        n, device = len(batch.frames), batch.image.device
+        if self.mirror > 0:
+            batch = mirror(batch, torch.rand(n, device=device) < self.mirror)
+        if self.brightness > 0 or self.contrast > 0:
+            low = 1.0 - torch.tensor([self.brightness, self.contrast], device=device)
+            factor = low + (1.0 - low) * 2.0 * torch.rand(n, 2, device=device)
+            gain, contrast = factor[:, 0, None, None, None], factor[:, 1, None, None, None]
+            image = batch.image.float()
+            mean = image.mean((1, 2, 3), keepdim=True)
+            image = ((image - mean) * contrast + mean) * gain
+            batch = batch._replace(image=image.clamp(0.0, 255.0).to(torch.uint8))
+        return batch

@@ -1,0 +1,171 @@
+"""The LightningDataModule: four disjoint splits of one recording, decalibrated on the device."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import lightning
+import torch
+from torch.utils.data import DataLoader
+
+from uncal.data.augmentation import Augmentation
+from uncal.data.dataset import Batch, FrameDataset, collate
+from uncal.data.network_input import InputSettings, NetworkInput, make_input
+from uncal.data.splits import SPLITS, split_frames
+from uncal.decalibration import DecalibrationRange
+from uncal.errors import RecordingError
+from uncal.recordings.frame import FrameId, Recording
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class SplitSettings:
+    """How frames are shared out.
+
+    Attributes:
+        by: ``frame``, ``drive`` or ``rig``: what is never torn apart.
+        fractions: of the frames, in the order of :data:`uncal.data.splits.SPLITS`.
+        seed: of the shuffle.
+    """
+
+    by: str
+    fractions: tuple[float, float, float, float]
+    seed: int
+
+
+@dataclass(frozen=True)
+class LoaderSettings:
+    """How frames reach the device.
+
+    Attributes:
+        batch_size: samples of a training batch.
+        eval_batch_size: samples of a batch in the three other splits.
+        workers: loading processes; 0 loads in the main process.
+        cache: keep samples in memory after their first use.
+    """
+
+    batch_size: int
+    eval_batch_size: int
+    workers: int
+    cache: bool
+
+
+class CalibrationDataModule(lightning.LightningDataModule):
+    """Train / validation / uncertainty calibration / test, disjoint by construction.
+
+    Loaders yield :class:`~uncal.data.dataset.Batch`; after the transfer to the device each becomes
+    a :class:`~uncal.data.network_input.NetworkInput`. In training the decalibration is drawn per
+    step; elsewhere it is a pure function of (seed, frame).
+
+    Args:
+        recording: where the frames come from.
+        image_size: (H, W) of the network's images, pixels.
+        decalibration: the range of the artificial decalibrations.
+        split: how frames are shared out.
+        loader: batch sizes, workers, cache.
+        inputs: channels and scales of the network's input.
+        augmentation: applied to training batches.
+        seed: of the fixed draws in the evaluation splits.
+    """
+
+    def __init__(
+        self,
+        recording: Recording,
+        image_size: tuple[int, int],
+        decalibration: DecalibrationRange,
+        split: SplitSettings,
+        loader: LoaderSettings,
+        inputs: InputSettings,
+        augmentation: Augmentation,
+        seed: int,
+    ) -> None:
+        super().__init__()
+        self.recording = recording
+        self.image_size = image_size
+        self.decalibration = decalibration
+        self.loader = loader
+        self.inputs = inputs
+        self.augmentation = augmentation
+        self.seed = seed
+        if not recording.frame_ids:
+            raise RecordingError("the recording holds no usable frame: see the skipped ones above")
+        self.splits: Mapping[str, list[FrameId]] = split_frames(
+            recording.frame_ids, split.by, split.fractions, split.seed
+        )
+        self.datasets = {name: self._dataset(name) for name in SPLITS}
+        self.skipped: dict[str, str] = dict(recording.skipped)
+
+    def _dataset(self, split: str) -> FrameDataset:
+        return FrameDataset(
+            self.recording,
+            self.splits[split],
+            self.image_size,
+            self.decalibration,
+            None if split == "train" else self.seed,
+            self.loader.cache,
+        )
+
+    def loader_of(self, split: str) -> DataLoader[Batch]:
+        """Batches of one split: shuffled in training, in order elsewhere.
+
+        Args:
+            split: a name of :data:`uncal.data.splits.SPLITS`.
+
+        Returns:
+            A new loader.
+        """
+        training = split == "train"
+        size = self.loader.batch_size if training else self.loader.eval_batch_size
+        dataset = self.datasets[split]
+        return DataLoader(
+            dataset,  # type: ignore[arg-type]  # collate turns samples into a Batch
+            batch_size=size,
+            shuffle=training,
+            # A last batch of a few samples would disturb BatchNorm; it is kept if it is all there is.
+            drop_last=training and len(dataset) > size,
+            num_workers=self.loader.workers,
+            persistent_workers=self.loader.workers > 0,
+            collate_fn=collate,
+            pin_memory=torch.cuda.is_available(),
+        )
+
+    def train_dataloader(self) -> DataLoader[Batch]:
+        """Shuffled training batches."""
+        return self.loader_of("train")
+
+    def val_dataloader(self) -> DataLoader[Batch]:
+        """Validation batches, in order."""
+        return self.loader_of("validation")
+
+    def uncertainty_calibration_dataloader(self) -> DataLoader[Batch]:
+        """Batches of the uncertainty calibration split, in order."""
+        return self.loader_of("uncertainty_calibration")
+
+    def test_dataloader(self) -> DataLoader[Batch]:
+        """Test batches, in order."""
+        return self.loader_of("test")
+
+    def on_after_batch_transfer(self, batch: Batch, dataloader_idx: int) -> NetworkInput | None:
+        """Decalibrate and project on the device.
+
+        Args:
+            batch: as loaded, already on the device.
+            dataloader_idx: which loader; not used.
+
+        Returns:
+            The network's input, or None where no frame of the batch could be read.
+        """
+        for skipped in batch.skipped:
+            if str(skipped.frame) not in self.skipped:
+                log.warning("skipped %s: %s", skipped.frame, skipped.reason)
+            self.skipped[str(skipped.frame)] = skipped.reason
+        if not batch.frames:
+            return None
+        decalibration = batch.decalibration
+        if decalibration is None:
+            batch = self.augmentation(batch)
+            decalibration = self.decalibration.draw(len(batch.frames), batch.image.device)
+        return make_input(batch, decalibration, self.inputs)

@@ -1,0 +1,19 @@
+"""The errors a user can act on: each message names the file or key, what was expected, the remedy."""
+
+from __future__ import annotations
+
+
+class UncalError(Exception):
+    """Base class; entry points print its message without a traceback."""
+
+
+class RecordingError(UncalError):
+    """A recording as a whole cannot be used (missing root, no frames, unreadable calibration)."""
+
+
+class FrameError(UncalError):
+    """One frame cannot be used; the run skips it, counts it and reports it."""
+
+
+class ConfigurationError(UncalError):
+    """A setting is out of its range or does not fit another setting."""

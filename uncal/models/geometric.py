@@ -1,0 +1,137 @@
+"""From a displacement map to six numbers: weighted least squares through the projection."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, cast
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F  # noqa: N812
+
+from uncal.decalibration import correct
+from uncal.geometry import invert, transform_points
+
+
+class GridPoints(NamedTuple):
+    """One LiDAR point per cell of a displacement map: the nearest one that falls into it.
+
+    Attributes:
+        points_cam: (B, n, 3) in the decalibrated camera frame, metres; n = h·w cells.
+        seen: (B, n) 1 where a point falls into the cell, else 0 (its position then means nothing).
+    """
+
+    points_cam: Tensor
+    seen: Tensor
+
+
+def grid_points(inverse_depth: Tensor, K: Tensor, grid: tuple[int, int]) -> GridPoints:
+    """Back-project the nearest return of every cell, from the pixel in which it lies.
+
+    Args:
+        inverse_depth: (B, 1, H, W) 1/m; 0 where no point falls.
+        K: (B, 3, 3) camera matrices of that image.
+        grid: (h, w) cells.
+
+    Returns:
+        The points, in the order of the flattened grid.
+    """
+    width = inverse_depth.shape[-1]
+    nearest, index = F.adaptive_max_pool2d(inverse_depth, grid, return_indices=True)
+    inverse, index = nearest.flatten(1), index.flatten(1)
+    row = index.div(width, rounding_mode="floor")
+    column = index - row * width
+    pixels = torch.stack([column, row, torch.ones_like(row)], -1).to(K.dtype)
+    rays = pixels @ torch.linalg.inv(K).transpose(1, 2)
+    seen = inverse > 0
+    return GridPoints(rays / torch.where(seen, inverse, 1.0)[..., None], seen.to(K.dtype))
+
+
+def displacement_jacobian(points_cam: Tensor, K: Tensor, T_init: Tensor) -> Tensor:
+    """How pixels move when a decalibration is taken out, to first order.
+
+    A point p of the LiDAR frame, seen at q = T_init p, belongs at T_init D⁻¹ p, that is
+    q - R_init (t + ω × p) for a small D with translation t and rotation vector ω.
+
+    Args:
+        points_cam: (B, N, 3) points q in the decalibrated camera frame, metres.
+        K: (B, 3, 3) camera matrices.
+        T_init: (B, 4, 4) decalibrated extrinsics.
+
+    Returns:
+        (B, N, 2, 6) pixels per metre and per radian.
+    """
+    x, y, z = points_cam.unbind(-1)
+    fx, fy = K[:, 0, 0, None], K[:, 1, 1, None]
+    zero = torch.zeros_like(z)
+    pixel_by_point = torch.stack(
+        [
+            torch.stack([fx / z, zero, -fx * x / z**2], -1),
+            torch.stack([zero, fy / z, -fy * y / z**2], -1),
+        ],
+        -2,
+    )
+    points = transform_points(invert(T_init), points_cam)
+    by_translation = -(pixel_by_point @ T_init[:, None, :3, :3])
+    # a · (ω × p) = ω · (p × a)
+    by_rotation = torch.linalg.cross(points[:, :, None, :].expand_as(by_translation), by_translation)
+    return torch.cat([by_translation, by_rotation], -1)
+
+
+def true_displacement(points_cam: Tensor, K: Tensor, T_init: Tensor, target: Tensor) -> Tensor:
+    """Where pixels really belong, minus where they are; exact, not linearised.
+
+    Args:
+        points_cam: (B, N, 3) points in the decalibrated camera frame, metres.
+        K: (B, 3, 3) camera matrices.
+        T_init: (B, 4, 4) decalibrated extrinsics.
+        target: (B, 6) the decalibration.
+
+    Returns:
+        (B, N, 2) columns and rows, pixels.
+    """
+    move = correct(T_init, target) @ invert(T_init)
+    moved = transform_points(move, points_cam)
+    here = points_cam[..., :2] / points_cam[..., 2:]
+    there = moved[..., :2] / moved[..., 2:].clamp(min=0.1)
+    focal = torch.stack([K[:, 0, 0], K[:, 1, 1]], -1)[:, None]
+    return (there - here) * focal
+
+
+class GeometricSolver(nn.Module):
+    """The decalibration that best explains a displacement map.
+
+    Minimises Σ_i w_i |J_i ξ - d_i|² / n + Σ_j λ_j (ξ_j / range_j)² over the pixels i that a LiDAR
+    point reaches; λ, learned per DoF, stands for the prior range. Differentiable.
+
+    Args:
+        bounds: (6,) range of the decalibrations, metres and radians.
+        ridge: initial λ.
+    """
+
+    bounds: Tensor
+
+    def __init__(self, bounds: Tensor, ridge: float) -> None:
+        super().__init__()
+        self.register_buffer("bounds", bounds.clone())
+        self.log_ridge = nn.Parameter(torch.full((6,), ridge).log())
+
+    def forward(self, flow: Tensor, points: GridPoints, K: Tensor, T_init: Tensor) -> Tensor:
+        """Solve for six numbers.
+
+        Args:
+            flow: (B, 4, h, w) displacement in pixels and two log-weights.
+            points: the LiDAR points of the map's cells.
+            K: (B, 3, 3) camera matrices.
+            T_init: (B, 4, 4) decalibrated extrinsics.
+
+        Returns:
+            (B, 6) decalibration, metres and radians.
+        """
+        flow = flow.float().flatten(2).transpose(1, 2)
+        jacobian = displacement_jacobian(points.points_cam, K, T_init) * self.bounds
+        weight = flow[..., 2:].clamp(-8.0, 8.0).exp() * points.seen[..., None]
+        weight = weight / points.seen.sum(1).clamp(min=1.0)[:, None, None]
+        weighted = (jacobian * weight[..., None]).flatten(1, 2).transpose(1, 2)
+        normal = weighted @ jacobian.flatten(1, 2) + torch.diag(self.log_ridge.exp())
+        right = weighted @ flow[..., :2].flatten(1, 2)[..., None]
+        return cast(Tensor, torch.linalg.solve(normal, right)).squeeze(-1) * self.bounds

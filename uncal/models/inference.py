@@ -1,0 +1,51 @@
+"""MC-dropout predictions of a whole split, outside Lightning's own loops."""
+
+from __future__ import annotations
+
+import torch
+from lightning import Trainer
+from tqdm import tqdm
+
+from uncal.data.datamodule import CalibrationDataModule
+from uncal.models.module import CalibrationModule, SplitPrediction, join_predictions, pass_seed
+
+
+def predict_split(
+    trainer: Trainer,
+    module: CalibrationModule,
+    data: CalibrationDataModule,
+    split: str,
+    progress: bool,
+) -> SplitPrediction:
+    """Run the stochastic passes over a split.
+
+    Args:
+        trainer: gives device and precision.
+        module: the network with its MC-dropout engine.
+        data: gives the split's batches.
+        split: its name.
+        progress: show a progress bar.
+
+    Returns:
+        Predictions of all readable frames.
+
+    Raises:
+        RecordingError: no frame of the split could be read.
+    """
+    parts: list[SplitPrediction] = []
+    loader = data.loader_of(split)
+    bar = tqdm(loader, desc=f"MC dropout, {split}", leave=False, disable=not progress)
+    with torch.inference_mode():
+        for number, batch in enumerate(bar):
+            moved = trainer.strategy.batch_to_device(batch, module.device)
+            inputs = data.on_after_batch_transfer(moved, 0)
+            if inputs is None:
+                continue
+            with trainer.precision_plugin.forward_context():
+                prediction = module.engine(
+                    *inputs[:4], seed=pass_seed(data.seed, split, number)
+                )
+            parts.append(
+                SplitPrediction(prediction.mean.cpu(), prediction.std.cpu(), inputs.target.cpu())
+            )
+    return join_predictions(parts, split)

@@ -1,0 +1,55 @@
+"""What training minimises."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+from torch.nn import functional as F  # noqa: N812
+
+
+def pose_loss(estimate: Tensor, target: Tensor, bounds: Tensor) -> Tensor:
+    """Smooth L1 on the pose in units of the decalibration's range, mean over DoF and batch.
+
+    Args:
+        estimate: (B, 6) metres and radians.
+        target: (B, 6) metres and radians.
+        bounds: (6,) range of the decalibrations.
+
+    Returns:
+        Scalar.
+    """
+    return F.smooth_l1_loss(estimate / bounds, target / bounds, beta=0.2)
+
+
+def displacement_loss(displacement: Tensor, truth: Tensor, seen: Tensor) -> Tensor:
+    """Mean absolute error of the displacement, where a LiDAR point tells the truth.
+
+    Points close to the camera can be displaced by far more than the image; errors beyond
+    20 pixels count as 20, lest one such point outweigh the rest.
+
+    Args:
+        displacement: (B, n, 2) pixels.
+        truth: (B, n, 2) pixels.
+        seen: (B, n) 1 where there is a point, else 0.
+
+    Returns:
+        Scalar, pixels.
+    """
+    error = (displacement - truth).abs().clamp(max=20.0) * seen[..., None]
+    return error.sum() / (2.0 * seen.sum().clamp(min=1.0))
+
+
+def relative_error(estimate: Tensor, target: Tensor) -> Tensor:
+    """Mean absolute error over mean absolute decalibration, per DoF; 1 is doing nothing.
+
+    Args:
+        estimate: (n, 6).
+        target: (n, 6).
+
+    Returns:
+        (6,).
+
+    >>> relative_error(torch.zeros(2, 6), torch.ones(2, 6)).tolist()
+    [1.0, 1.0, 1.0, 1.0, 1.0, 1.0]
+    """
+    return (estimate - target).abs().mean(0) / target.abs().mean(0)

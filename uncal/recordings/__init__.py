@@ -1,0 +1,1 @@
+"""Readers of recordings on disk; each turns a folder into frames."""

@@ -1,0 +1,147 @@
+"""Recordings that are folders of numbered images beside folders of numbered scans."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uncal.errors import ConfigurationError, RecordingError
+from uncal.recordings.calibration_files import CameraCalibration
+from uncal.recordings.folder_listing import list_indices
+from uncal.recordings.frame import Frame, FrameId
+from uncal.recordings.sensor_files import read_image, read_scan
+
+
+@dataclass(frozen=True)
+class DriveFolder:
+    """Where one drive's files are.
+
+    Attributes:
+        rig: name of the rig; see :class:`~uncal.recordings.frame.FrameId`.
+        drive: name of the drive.
+        images: folder of the ``.png`` files.
+        scans: folder of the ``.bin`` files.
+        digits: length of the frame number in the file names.
+        calibration: of the camera that took the images.
+        times: file of timestamps, line by line those of frame 0, 1, ...
+        read_times: its parser; frames beyond its last line have no time.
+    """
+
+    rig: str
+    drive: str
+    images: Path
+    scans: Path
+    digits: int
+    calibration: CameraCalibration
+    times: Path
+    read_times: Callable[[Path], NDArray[np.float64]]
+
+    def image_path(self, index: int) -> Path:
+        """The image of frame ``index``."""
+        return self.images / f"{index:0{self.digits}d}.png"
+
+    def scan_path(self, index: int) -> Path:
+        """The scan of frame ``index``."""
+        return self.scans / f"{index:0{self.digits}d}.bin"
+
+
+class FolderRecording:
+    """Pairs images and scans by number; implements :class:`~uncal.recordings.frame.Recording`.
+
+    Args:
+        drives: the drives, in order.
+        stride: keep every ``stride``-th frame number of each drive. Frames are counted before
+            incomplete ones are left out, so that a missing file never shifts the others.
+
+    Raises:
+        ConfigurationError: ``stride`` is below 1.
+        RecordingError: no frame has both an image and a scan.
+
+    Attributes:
+        frame_ids: every frame with an image and a scan, drive by drive, in order of number.
+        skipped: frames of which one file is missing → which.
+    """
+
+    def __init__(self, drives: Iterable[DriveFolder], stride: int) -> None:
+        """List the drives; no image and no scan is opened."""
+        if stride < 1:
+            raise ConfigurationError(f"stride is {stride}, expected at least 1 (every frame).")
+        self.frame_ids: list[FrameId] = []
+        self.skipped: dict[str, str] = {}
+        self._drives = {(drive.rig, drive.drive): drive for drive in drives}
+        self._times: dict[tuple[str, str], NDArray[np.float64]] = {}
+        for drive in self._drives.values():
+            self._list_drive(drive, stride)
+        if not self.frame_ids:
+            raise RecordingError(self._nothing_found())
+
+    def load(self, frame_id: FrameId) -> Frame:
+        """Read one frame.
+
+        Args:
+            frame_id: one of :attr:`frame_ids`.
+
+        Returns:
+            The frame; non-finite points are dropped and counted.
+
+        Raises:
+            FrameError: the image or the scan is missing, truncated or unreadable.
+            RecordingError: the recording has no such drive.
+        """
+        key = (frame_id.rig, frame_id.drive)
+        if key not in self._drives:
+            raise RecordingError(
+                f"Frame {frame_id} is of no drive of this recording; its drives are "
+                f"{', '.join('/'.join(known) for known in self._drives)}."
+            )
+        drive = self._drives[key]
+        points, n_dropped = read_scan(drive.scan_path(frame_id.index))
+        return Frame(
+            id=frame_id,
+            image=read_image(drive.image_path(frame_id.index)),
+            points=points,
+            K=drive.calibration.K.copy(),
+            T_cam_lidar=drive.calibration.T_cam_lidar.copy(),
+            time=self._time(drive, frame_id.index),
+            n_dropped=n_dropped,
+        )
+
+    def _list_drive(self, drive: DriveFolder, stride: int) -> None:
+        images = list_indices(drive.images, drive.digits, ".png")
+        scans = list_indices(drive.scans, drive.digits, ".bin")
+        for index in islice(sorted(images | scans), 0, None, stride):
+            frame_id = FrameId(drive.rig, drive.drive, index)
+            if index not in scans:
+                self.skipped[str(frame_id)] = f"scan missing: {drive.scan_path(index)}"
+            elif index not in images:
+                self.skipped[str(frame_id)] = f"image missing: {drive.image_path(index)}"
+            else:
+                self.frame_ids.append(frame_id)
+
+    def _time(self, drive: DriveFolder, index: int) -> float:
+        key = (drive.rig, drive.drive)
+        if key not in self._times:
+            self._times[key] = drive.read_times(drive.times)
+        times = self._times[key]
+        return float(times[index]) if index < times.size else float("nan")
+
+    def _nothing_found(self) -> str:
+        looked = [
+            f"{drive.images} (.png) and {drive.scans} (.bin)"
+            for drive in islice(self._drives.values(), 3)
+        ]
+        missing = [f"{frame}: {reason}" for frame, reason in islice(self.skipped.items(), 3)]
+        return "\n  ".join(
+            [
+                f"No frame with an image and a scan in {len(self._drives)} drive(s). Looked in",
+                *looked,
+                f"{len(self.skipped)} incomplete frames" + (", among them" if missing else "."),
+                *missing,
+                "Choose a camera that was recorded, or unpack the missing archive.",
+            ]
+        )

@@ -1,0 +1,116 @@
+"""The KITTI raw layout (Geiger et al., "Vision meets Robotics", IJRR 2013), synced and rectified.
+
+::
+
+    <root>/2011_09_26/calib_cam_to_cam.txt, calib_velo_to_cam.txt
+    <root>/2011_09_26/2011_09_26_drive_0001_sync/
+        image_02/data/0000000000.png             image_00, 01 grey; image_02, 03 colour
+        image_02/timestamps.txt                  optional
+        velodyne_points/data/0000000000.bin      float32 x, y, z, reflectance
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+from uncal.errors import ConfigurationError, RecordingError
+from uncal.recordings.calibration_files import raw_calibration
+from uncal.recordings.folder_listing import choose, contents, subfolders
+from uncal.recordings.folder_recording import DriveFolder, FolderRecording
+from uncal.recordings.sensor_files import read_clock_times
+
+CAMERAS: tuple[str, ...] = ("image_00", "image_01", "image_02", "image_03")
+"""The camera folders of KITTI raw, in the order of their numbers in the calibration files."""
+
+_DATE = re.compile(r"\d{4}_\d{2}_\d{2}")
+_DRIVE = re.compile(r"(\d{4}_\d{2}_\d{2})_drive_(\d+)_sync")
+
+
+class KittiRaw(FolderRecording):
+    """A folder of KITTI raw drives. A date folder is a rig, a ``_sync`` folder a drive.
+
+    Args:
+        root: folder of the date folders.
+        camera: one of :data:`CAMERAS`.
+        stride: keep every ``stride``-th frame of each drive.
+        drives: which drives, all if None: folder names (``2011_09_26_drive_0001_sync``), short
+            names (``2011_09_26/0001``) or shell patterns of either (``2011_09_26/*``).
+
+    Raises:
+        RecordingError: the root, the drives, the frames or the calibration are not there.
+        ConfigurationError: an unknown camera, a stride below 1, a name that matches no drive.
+    """
+
+    def __init__(
+        self,
+        root: str | Path,
+        camera: str = "image_02",
+        stride: int = 1,
+        drives: Sequence[str] | None = None,
+    ) -> None:
+        """Find the drives and read their calibration; no frame is opened."""
+        if camera not in CAMERAS:
+            raise ConfigurationError(f"camera is '{camera}', expected one of {', '.join(CAMERAS)}.")
+        root = Path(root).expanduser()
+        chosen = choose(_find_drives(root), drives, "drives")
+        number = CAMERAS.index(camera)
+        calibrations = {
+            date: raw_calibration(root / date, number) for date in dict.fromkeys(map(_date, chosen))
+        }
+        super().__init__(
+            (
+                DriveFolder(
+                    rig=_date(drive),
+                    drive=drive,
+                    images=root / _date(drive) / drive / camera / "data",
+                    scans=root / _date(drive) / drive / "velodyne_points" / "data",
+                    digits=10,
+                    calibration=calibrations[_date(drive)],
+                    times=root / _date(drive) / drive / camera / "timestamps.txt",
+                    read_times=read_clock_times,
+                )
+                for drive in chosen
+            ),
+            stride,
+        )
+
+
+def _date(drive: str) -> str:
+    return drive[: len("2011_09_26")]
+
+
+def _find_drives(root: Path) -> dict[str, list[str]]:
+    """Drive folders under ``root``, sorted → the names that a user may write for them."""
+    if not root.is_dir():
+        raise RecordingError(f"The recordings folder {root} does not exist. {_remedy(root)}")
+    names = subfolders(root)
+    dates = [name for name in names if _DATE.fullmatch(name)]
+    drives: dict[str, list[str]] = {}
+    for date in dates:
+        for name in subfolders(root / date):
+            match = _DRIVE.fullmatch(name)
+            if match and match[1] == date:
+                drives[name] = [name, f"{date}/{name}", f"{date}/{match[2]}"]
+    if drives:
+        return drives
+    if any(_DRIVE.fullmatch(name) for name in names):
+        raise RecordingError(f"{root} is itself a date folder: give its parent, {root.parent}.")
+    if dates:
+        inside, missing = root / dates[0], "drive folder such as 2011_09_26_drive_0001_sync"
+    else:
+        inside, missing = root, "date folder such as 2011_09_26"
+    raise RecordingError(f"{inside} holds no {missing}; found {contents(inside)}. {_remedy(root)}")
+
+
+def _remedy(root: Path) -> str:
+    return (
+        "Expected the KITTI raw layout:\n"
+        f"  {root}/2011_09_26/calib_cam_to_cam.txt and calib_velo_to_cam.txt\n"
+        f"  {root}/2011_09_26/2011_09_26_drive_0001_sync/image_02/data/0000000000.png\n"
+        f"  {root}/2011_09_26/2011_09_26_drive_0001_sync/velodyne_points/data/0000000000.bin\n"
+        "Get the synced+rectified drives and their calibration from "
+        "https://www.cvlibs.net/datasets/kitti/raw_data.php, or write a simulated stand-in:\n"
+        f"  python -m uncal.simulate root={root}"
+    )

@@ -1,0 +1,119 @@
+"""Reading single sensor files: images, Velodyne scans, timestamps."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from uncal.errors import FrameError
+
+_POINT_BYTES = 16
+"""x, y, z, reflectance as float32."""
+
+
+def read_image(path: Path) -> NDArray[np.uint8]:
+    """Read an image.
+
+    Args:
+        path: the image file.
+
+    Returns:
+        (H, W, 3) uint8 RGB; grey images are repeated over the three channels.
+
+    Raises:
+        FrameError: the file is missing, empty, truncated or no image.
+    """
+    encoded = _read_bytes(path)
+    image = cv2.imdecode(encoded, cv2.IMREAD_COLOR) if encoded.size else None
+    if image is None:
+        raise FrameError(
+            f"{path}: not a readable image ({encoded.size} bytes); "
+            "truncated or damaged, copy it again."
+        )
+    return cv2.cvtColor(image, cv2.COLOR_BGR2RGB).astype(np.uint8, copy=False)
+
+
+def read_scan(path: Path) -> tuple[NDArray[np.float32], int]:
+    """Read a Velodyne scan and drop the points that are not finite.
+
+    Args:
+        path: a file of float32 x, y, z (metres, LiDAR frame) and reflectance, point by point.
+
+    Returns:
+        (N, 4) float32 points, N ≥ 1, and how many points were dropped.
+
+    Raises:
+        FrameError: the file is missing, empty, truncated, or holds no finite point.
+    """
+    raw = _read_bytes(path)
+    if raw.size == 0 or raw.size % _POINT_BYTES:
+        raise FrameError(
+            f"{path}: {raw.size} bytes, expected a positive multiple of {_POINT_BYTES} "
+            "(float32 x, y, z, reflectance); empty or truncated, copy it again."
+        )
+    points = raw.view("<f4").astype(np.float32, copy=False).reshape(-1, 4)
+    finite = np.isfinite(points).all(axis=1)
+    n_dropped = int(points.shape[0] - np.count_nonzero(finite))
+    if n_dropped == points.shape[0]:
+        raise FrameError(
+            f"{path}: none of its {n_dropped} points is finite, expected metres; "
+            "damaged, copy it again."
+        )
+    return (points[finite] if n_dropped else points), n_dropped
+
+
+def read_clock_times(path: Path) -> NDArray[np.float64]:
+    """Read KITTI raw timestamps, ``2011-09-26 13:02:25.964389445`` a line.
+
+    Args:
+        path: the ``timestamps.txt`` of one sensor; a missing one holds no lines.
+
+    Returns:
+        (lines,) seconds since 1970 of the clock time read as UTC; NaN for a line that is no time.
+    """
+    return np.array([_clock_seconds(line) for line in _read_lines(path)], dtype=np.float64)
+
+
+def read_second_times(path: Path) -> NDArray[np.float64]:
+    """Read KITTI odometry timestamps, seconds since the start of the sequence, one a line.
+
+    Args:
+        path: the ``times.txt`` of a sequence; a missing one holds no lines.
+
+    Returns:
+        (lines,) seconds; NaN for a line that is no number.
+    """
+    return np.array([_seconds(line) for line in _read_lines(path)], dtype=np.float64)
+
+
+def _clock_seconds(line: str) -> float:
+    try:
+        time = np.datetime64(line.strip(), "ns")
+    except ValueError:
+        return float("nan")
+    return float("nan") if np.isnat(time) else float(time.astype(np.int64)) / 1e9
+
+
+def _seconds(line: str) -> float:
+    try:
+        return float(line)
+    except ValueError:
+        return float("nan")
+
+
+def _read_lines(path: Path) -> list[str]:
+    try:
+        return path.read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        return []
+
+
+def _read_bytes(path: Path) -> NDArray[np.uint8]:
+    # np.fromfile, unlike bytes, gives an array that torch may wrap without a copy.
+    try:
+        return np.fromfile(path, dtype=np.uint8)
+    except OSError as error:
+        raise FrameError(f"{path}: cannot be read ({error.strerror or error}).") from error

@@ -1,0 +1,44 @@
+"""Simulate recordings: ``python -m uncal.simulate root=data/my_sim simulation.n_rigs=5``."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import cast
+
+import hydra
+from omegaconf import DictConfig, OmegaConf
+
+from uncal.configuration import CONFIG_DIR, exits_on_error
+from uncal.simulation.cache import ensure_simulated
+from uncal.simulation.settings import SimulationSettings
+
+log = logging.getLogger(__name__)
+
+
+@hydra.main(version_base="1.3", config_path=CONFIG_DIR, config_name="simulate")
+@exits_on_error
+def main(config: DictConfig) -> None:
+    """Simulate, or find what an earlier run simulated, and say what is where."""
+    plain = OmegaConf.to_container(config.simulation, resolve=True)
+    settings = SimulationSettings.from_mapping(cast(Mapping[str, object], plain))
+    begin = time.perf_counter()
+    root = ensure_simulated(settings, Path(config.root), config.workers, config.progress)
+    seconds = time.perf_counter() - begin
+    size = sum(file.stat().st_size for file in root.rglob("*") if file.is_file()) / 1e6
+    log.info(
+        "%d rigs, %d drives, %d frames, %.0f MB in %.1f s (%.1f frames/s): %s",
+        settings.n_rigs,
+        settings.n_rigs * settings.drives_per_rig,
+        settings.n_frames,
+        size,
+        seconds,
+        settings.n_frames / seconds,
+        root.resolve(),
+    )
+
+
+if __name__ == "__main__":
+    main()

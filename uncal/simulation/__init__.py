@@ -1,0 +1,1 @@
+"""Simulated recordings, written in the layouts of the real ones."""

@@ -1,0 +1,78 @@
+"""Simulate once: reuse what is there if it is what would be written, replace it if it is not."""
+
+from __future__ import annotations
+
+import logging
+import shutil
+from pathlib import Path
+
+from uncal.simulation.layout import is_complete
+from uncal.simulation.locking import locked
+from uncal.simulation.manifest import MANIFEST_NAME, read_manifest
+from uncal.simulation.rig import rig_date
+from uncal.simulation.settings import SimulationSettings
+from uncal.simulation.writer import PARTIAL_PREFIX, simulate
+
+log = logging.getLogger(__name__)
+
+
+def ensure_simulated(
+    settings: SimulationSettings,
+    root: Path,
+    workers: int | None = None,
+    progress: bool = True,
+) -> Path:
+    """Make ``root`` hold exactly this simulation, doing only what is missing.
+
+    A finished simulation of the same fingerprint is reused after a look at its file counts; an
+    interrupted one is resumed; one of other settings or another simulator version is replaced.
+
+    Args:
+        settings: what must be there.
+        root: folder of the simulation.
+        workers: processes; None: one per available core.
+        progress: whether to show a progress bar.
+
+    Returns:
+        ``root``.
+
+    Raises:
+        RecordingError: ``root`` holds something that this simulator did not write; it is left
+            untouched.
+    """
+    read_manifest(root)
+    root.mkdir(parents=True, exist_ok=True)
+    with locked(root):
+        present = read_manifest(root)
+        if present is not None and present.fingerprint != settings.fingerprint():
+            log.warning(
+                "%s holds a simulation with other settings or of another version (%s, wanted %s): "
+                "replacing it",
+                root,
+                present.fingerprint,
+                settings.fingerprint(),
+            )
+            _remove(root, present.dates)
+            present = None
+        dates = [rig_date(index) for index in range(settings.n_rigs)]
+        missing = [date for date in dates if not is_complete(settings, root / date, date)]
+        if present is not None and present.finished and not missing:
+            log.info("reusing the simulation in %s (%d frames)", root, settings.n_frames)
+            return root
+        if present is not None and len(missing) < len(dates):
+            log.warning(
+                "%s is incomplete: %d of %d date folders are simulated again",
+                root,
+                len(missing),
+                len(dates),
+            )
+        simulate(settings, root, workers, progress)
+    return root
+
+
+def _remove(root: Path, dates: list[str]) -> None:
+    """Remove a simulation: its own folders and manifest, nothing else."""
+    for folder in [*(root / date for date in dates), *root.glob(f"{PARTIAL_PREFIX}*")]:
+        if folder.is_dir():
+            shutil.rmtree(folder)
+    (root / MANIFEST_NAME).unlink()

@@ -1,0 +1,110 @@
+"""One drive, or a piece of it: build the street, move the vehicle, write the frames."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from uncal.errors import RecordingError
+from uncal.simulation.buildings import add_buildings
+from uncal.simulation.camera import Camera, draw_sky
+from uncal.simulation.furniture import add_furniture
+from uncal.simulation.lidar import Lidar
+from uncal.simulation.meshes import Mesh
+from uncal.simulation.rig import draw_rig
+from uncal.simulation.rigid import inverse
+from uncal.simulation.scene import Scene
+from uncal.simulation.seeding import Stream, generator
+from uncal.simulation.settings import SimulationSettings
+from uncal.simulation.street import Street, add_ground, draw_street
+from uncal.simulation.textures import TextureLibrary, build_library
+from uncal.simulation.trajectory import distance_along, vehicle_pose
+
+BEHIND_M = 25.0
+"""Length of street modelled behind a LiDAR that does not look back."""
+
+
+@dataclass(frozen=True)
+class Piece:
+    """Consecutive frames of one drive: the unit of work of one process.
+
+    Attributes:
+        rig: number of the rig.
+        drive: number of the drive within the rig.
+        first: first frame.
+        last: one past the last frame.
+    """
+
+    rig: int
+    drive: int
+    first: int
+    last: int
+
+
+@lru_cache(maxsize=1)
+def texture_library(seed: int) -> TextureLibrary:
+    """The simulation's textures; one library for all drives, built once per process."""
+    return build_library(generator(seed, Stream.TEXTURES))
+
+
+def build_scene(settings: SimulationSettings, piece: Piece) -> tuple[Street, Scene]:
+    """Build the whole drive's street, then keep what can be seen from the piece's frames.
+
+    Args:
+        settings: the simulation's settings.
+        piece: which drive, and which of its frames.
+    """
+    limits = settings.scene
+    rng = generator(settings.seed, Stream.STREET, piece.rig, piece.drive)
+    behind = BEHIND_M if settings.lidar.azimuth_fov_deg <= 180 else settings.lidar.range_max_m
+    driven = distance_along(settings, settings.frames_per_drive - 1)
+    street = draw_street(limits, rng, -behind, driven + limits.view_m)
+    sky = draw_sky(rng)
+    mesh = Mesh()
+    add_ground(mesh, street, rng)
+    add_buildings(mesh, street, limits, rng)
+    add_furniture(mesh, street, limits, rng, (0.0, driven))
+    first, last = (distance_along(settings, frame) for frame in (piece.first, piece.last - 1))
+    # Twice the view: a first frame of a piece sees farther than the last one needs.
+    reach = (first - behind - 40, last + 2 * limits.view_m)
+    return street, Scene(mesh, sky, texture_library(settings.seed), reach)
+
+
+def write_frames(settings: SimulationSettings, piece: Piece, folder: Path) -> int:
+    """Simulate the frames of a piece into a drive folder.
+
+    Args:
+        settings: the simulation's settings.
+        piece: which frames.
+        folder: the drive folder; ``image_02/data`` and ``velodyne_points/data`` must exist.
+
+    Returns:
+        Bytes written.
+
+    Raises:
+        RecordingError: a file could not be written.
+    """
+    # Workers share the cores already; OpenCV's own threads would only get in their way.
+    cv2.setNumThreads(1)
+    rig = draw_rig(settings, piece.rig)
+    street, scene = build_scene(settings, piece)
+    camera, lidar = Camera(settings.camera, rig.K), Lidar(settings.lidar, rig.elevations)
+    T_lidar_cam = inverse(rig.T_cam_lidar)
+    written = 0
+    for frame in range(piece.first, piece.last):
+        key = (piece.rig, piece.drive, frame)
+        T_world_lidar = vehicle_pose(settings, street, *key) @ rig.T_vehicle_lidar
+        light_rng = generator(settings.seed, Stream.CAMERA, *key)
+        image = camera.photograph(scene, T_world_lidar @ T_lidar_cam, light_rng)
+        points = lidar.sweep(scene, T_world_lidar, generator(settings.seed, Stream.LIDAR, *key))
+        picture = folder / "image_02" / "data" / f"{frame:010d}.png"
+        if not cv2.imwrite(str(picture), np.ascontiguousarray(image[..., ::-1])):
+            raise RecordingError(f"{picture} could not be written; is the disk full?")
+        cloud = folder / "velodyne_points" / "data" / f"{frame:010d}.bin"
+        points.tofile(cloud)
+        written += picture.stat().st_size + points.nbytes
+    return written

@@ -1,0 +1,76 @@
+"""The spinning LiDAR: one sweep of a beam table through a scene."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uncal.simulation.rigid import Matrix
+from uncal.simulation.scene import Hits, Scene
+from uncal.simulation.settings import LidarSettings
+
+BEAM_DIVERGENCE_RAD = 0.003
+"""Footprint of a beam per metre of range; a typical figure for a spinning LiDAR."""
+
+FULL_POWER_RANGE_M = 30.0
+"""Range at which a perpendicular surface of reflectance DETECTABLE is lost half of the time."""
+
+DETECTABLE = 0.012
+
+
+class Lidar:
+    """A LiDAR that takes instantaneous sweeps: no motion distortion, as after compensation.
+
+    Args:
+        settings: azimuths, ranges, noise.
+        elevations: (beams,) radians.
+    """
+
+    def __init__(self, settings: LidarSettings, elevations: NDArray[np.float64]) -> None:
+        self.settings = settings
+        steps = max(round(settings.azimuth_fov_deg / settings.azimuth_step_deg), 1)
+        azimuth = np.deg2rad((np.arange(steps) - (steps - 1) / 2) * settings.azimuth_step_deg)
+        elevation, azimuth = np.meshgrid(elevations, azimuth, indexing="ij")
+        flat = np.cos(elevation)
+        rays = [flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)]
+        self._rays = np.stack(rays, -1).reshape(-1, 3).astype(np.float32)
+
+    def sweep(
+        self, scene: Scene, T_world_lidar: Matrix, rng: np.random.Generator
+    ) -> NDArray[np.float32]:
+        """Measure once around.
+
+        The returned power is ρ cosθ / r² (Lambertian target, beam smaller than the target); a
+        return is lost with the probability 1 / (1 + (power / threshold)²) and at random. The
+        reported reflectance is compensated for range and, as in practice, hardly for incidence.
+
+        Args:
+            scene: the street.
+            T_world_lidar: (4, 4) pose of the LiDAR.
+            rng: draws noise and losses.
+
+        Returns:
+            (N, 4) float32 x, y, z in metres in the LiDAR frame, and reflectance in 0..1.
+        """
+        limits = self.settings
+        directions = self._rays @ T_world_lidar[:3, :3].T.astype(np.float32)
+        position = np.broadcast_to(T_world_lidar[:3, 3].astype(np.float32), directions.shape)
+        hits = scene.cast(position.copy(), directions)
+        # Drawn for every ray, so that one ray's fate does not shift the others' numbers.
+        noise = rng.standard_normal((2, len(directions)), dtype=np.float32)
+        fate = rng.random((2, len(directions)), dtype=np.float32)
+        where = np.flatnonzero(hits.triangle >= 0)
+        found = Hits(hits.triangle[where], hits.t[where], hits.u[where], hits.v[where])
+        noise, fate, rays = noise[:, where], fate[:, where], self._rays[where]
+
+        reflectance = scene.reflectance(found, found.t * np.float32(BEAM_DIVERGENCE_RAD))
+        normals = scene.normals[found.triangle]
+        cosine = np.abs(np.einsum("ij,ij->i", directions[where], normals))
+        power = reflectance * cosine / np.maximum(found.t / FULL_POWER_RANGE_M, 0.2) ** 2
+        lost = (fate[0] < limits.dropout) | (fate[1] * (1 + (power / DETECTABLE) ** 2) < 1)
+        measured = found.t + limits.range_noise_m * noise[0]
+        keep = ~lost & (measured >= limits.range_min_m) & (measured <= limits.range_max_m)
+
+        shine = reflectance * (0.4 + 0.6 * cosine) * (1 + limits.reflectance_noise * noise[1])
+        points = np.column_stack([rays * measured[:, None], shine.clip(0, 1)])
+        return np.ascontiguousarray(points[keep], np.float32)

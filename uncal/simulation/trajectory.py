@@ -1,0 +1,46 @@
+"""Where the vehicle is at each frame of a drive."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from uncal.simulation.rigid import Matrix, pose_matrix
+from uncal.simulation.seeding import Stream, generator
+from uncal.simulation.settings import SimulationSettings
+from uncal.simulation.street import Street
+
+
+def distance_along(settings: SimulationSettings, frame: int) -> float:
+    """s of the vehicle at a frame, metres from the first; constant speed."""
+    return frame * settings.vehicle.speed_mps * settings.vehicle.frame_interval_s
+
+
+def vehicle_pose(
+    settings: SimulationSettings, street: Street, rig: int, drive: int, frame: int
+) -> Matrix:
+    """T_world_vehicle (4, 4) at one frame: in the right lane, following the road, swaying.
+
+    Lateral position and heading change slowly over the drive; roll, pitch and height are drawn
+    anew for every frame.
+
+    Args:
+        settings: the simulation's settings.
+        street: the drive's street.
+        rig: number of the rig.
+        drive: number of the drive within the rig.
+        frame: number of the frame within the drive.
+    """
+    limits = settings.vehicle
+    s = distance_along(settings, frame)
+    slow = generator(settings.seed, Stream.TRAJECTORY, rig, drive)
+    phases = slow.uniform(0, 2 * np.pi, 4)
+    lengths = slow.uniform(25, 90, 4)
+    waves = np.sin(2 * np.pi * s / lengths + phases)
+    drift = limits.drift_m * (waves[0] + waves[1]) / 2
+    wander = np.deg2rad(limits.heading_deg) * (waves[2] + waves[3]) / 2
+    quick = generator(settings.seed, Stream.TRAJECTORY, rig, drive, frame)
+    roll, pitch = np.deg2rad(limits.attitude_deg) * quick.uniform(-1, 1, 2)
+    height = limits.height_m * quick.uniform(-1, 1)
+    position = street.world(np.array([s, -street.lane_m / 2 + drift, height]))
+    heading = float(street.heading(s)) + wander
+    return pose_matrix(position, (roll, pitch + float(street.incline(s)), heading))

@@ -1,0 +1,165 @@
+"""Simulates all rigs on all cores and writes their date folders, each one whole or not at all."""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import shutil
+import threading
+from collections.abc import Iterator
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from pathlib import Path
+
+from tqdm import tqdm
+
+from uncal.errors import ConfigurationError, RecordingError
+from uncal.simulation.drive import Piece, write_frames
+from uncal.simulation.layout import drive_name, is_complete, prepare_date_folder
+from uncal.simulation.manifest import Manifest, read_manifest
+from uncal.simulation.rig import rig_date
+from uncal.simulation.settings import SimulationSettings
+
+PIECE_FRAMES = 50
+"""Frames of a drive that one task simulates; fixed, so that results never depend on the machine."""
+
+PARTIAL_PREFIX = ".partial_"
+
+THREAD_LIMITS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+def simulate(
+    settings: SimulationSettings,
+    root: Path,
+    workers: int | None = None,
+    progress: bool = True,
+) -> None:
+    """Write a simulation; date folders that are already complete are kept.
+
+    The result depends on the settings alone, not on the number of processes.
+
+    Args:
+        settings: what to simulate.
+        root: folder for the date folders; created if missing.
+        workers: processes; None: one per available core.
+        progress: whether to show a progress bar.
+
+    Raises:
+        RecordingError: ``root`` holds something else, or a simulation with other settings; or a
+            worker died.
+        ConfigurationError: ``workers`` is not positive.
+    """
+    if workers is not None and workers < 1:
+        raise ConfigurationError(f"workers is {workers}; it must be at least 1, or null for all")
+    present = read_manifest(root)
+    if present is not None and present.fingerprint != settings.fingerprint():
+        raise RecordingError(
+            f"{root} holds a simulation with other settings ({present.fingerprint}, wanted "
+            f"{settings.fingerprint()}); name another folder, or use ensure_simulated to replace it"
+        )
+    root.mkdir(parents=True, exist_ok=True)
+    Manifest.of(settings, finished=False).write(root)
+    for leftover in root.glob(f"{PARTIAL_PREFIX}*"):
+        shutil.rmtree(leftover)
+    todo = [
+        index
+        for index in range(settings.n_rigs)
+        if not is_complete(settings, root / rig_date(index), rig_date(index))
+    ]
+    if todo:
+        _simulate_rigs(settings, root, todo, workers or available_cores(), progress)
+    Manifest.of(settings, finished=True).write(root)
+
+
+def available_cores() -> int:
+    """Cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def _simulate_rigs(
+    settings: SimulationSettings, root: Path, todo: list[int], workers: int, progress: bool
+) -> None:
+    partial = {index: root / f"{PARTIAL_PREFIX}{rig_date(index)}" for index in todo}
+    pieces = [piece for index in todo for piece in _pieces(settings, index)]
+    open_pieces = dict.fromkeys(todo, len(pieces) // len(todo))
+    per_rig = settings.drives_per_rig * settings.frames_per_drive
+    bar = tqdm(
+        total=settings.n_frames,
+        initial=settings.n_frames - per_rig * len(todo),
+        desc="simulating",
+        unit="frame",
+        disable=not progress,
+    )
+    with _process_pool(min(workers, len(pieces))) as pool, bar:
+        futures: dict[Future[int], Piece] = {}
+        for index in todo:
+            prepare_date_folder(settings, index, partial[index])
+        for piece in pieces:
+            folder = partial[piece.rig] / drive_name(rig_date(piece.rig), piece.drive)
+            futures[pool.submit(write_frames, settings, piece, folder)] = piece
+        try:
+            for future in as_completed(futures):
+                future.result()
+                piece = futures[future]
+                bar.update(piece.last - piece.first)
+                open_pieces[piece.rig] -= 1
+                if not open_pieces[piece.rig]:
+                    _publish(partial[piece.rig], root / rig_date(piece.rig))
+        except BrokenProcessPool as error:
+            raise RecordingError(
+                "a simulating process was killed, perhaps for lack of memory; run again (finished "
+                "date folders are kept) with fewer workers"
+            ) from error
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+
+
+def _pieces(settings: SimulationSettings, index: int) -> list[Piece]:
+    """The tasks of one rig."""
+    total = settings.frames_per_drive
+    return [
+        Piece(index, drive, first, min(first + PIECE_FRAMES, total))
+        for drive in range(settings.drives_per_rig)
+        for first in range(0, total, PIECE_FRAMES)
+    ]
+
+
+def _publish(partial: Path, final: Path) -> None:
+    """Give a finished folder its name; an incomplete one of that name is replaced."""
+    if final.exists():
+        shutil.rmtree(final)
+    partial.rename(final)
+
+
+@contextlib.contextmanager
+def _process_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
+    """Fresh interpreters: forking a process that has loaded torch and its threads is not safe."""
+    before = {name: os.environ.get(name) for name in THREAD_LIMITS}
+    # Read by numpy's BLAS when a worker imports it, so it must be set before the worker starts.
+    os.environ.update(dict.fromkeys(THREAD_LIMITS, "1"))
+    try:
+        context = multiprocessing.get_context("spawn")
+        with ProcessPoolExecutor(workers, context, initializer=_leave_with_parent) as pool:
+            yield pool
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+
+
+def _leave_with_parent() -> None:
+    """End this worker when its parent dies; a killed parent would leave it waiting for ever."""
+    parent = multiprocessing.parent_process()
+
+    def watch() -> None:
+        if parent is not None:
+            parent.join()
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
