@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import cast
@@ -24,18 +23,14 @@ def main(config: DictConfig) -> None:
     """Simulate, or find what an earlier run simulated, and say what is where."""
     plain = OmegaConf.to_container(config.simulation, resolve=True)
     settings = SimulationSettings.from_mapping(cast(Mapping[str, object], plain))
-    begin = time.perf_counter()
     root = ensure_simulated(settings, Path(config.root), config.workers, config.progress)
-    seconds = time.perf_counter() - begin
-    size = sum(file.stat().st_size for file in root.rglob("*") if file.is_file()) / 1e6
+    size = sum(file.stat().st_size for file in root.rglob("*") if file.is_file())
     log.info(
-        "%d rigs, %d drives, %d frames, %.0f MB in %.1f s (%.1f frames/s): %s",
+        "%d rigs, %d drives, %d frames, %.0f MB: %s",
         settings.n_rigs,
         settings.n_rigs * settings.drives_per_rig,
         settings.n_frames,
-        size,
-        seconds,
-        settings.n_frames / seconds,
+        size / 1e6,
         root.resolve(),
     )
 

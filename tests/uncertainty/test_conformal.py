@@ -182,23 +182,23 @@ def test_levels_outside_their_range(level: float) -> None:
 @pytest.mark.parametrize("broken", ["mean", "std", "target"])
 @pytest.mark.parametrize("value", [math.nan, math.inf])
 def test_fit_names_the_dof_that_is_not_finite(broken: str, value: float) -> None:
-    data = dict(zip(("mean", "std", "target"), _data(10), strict=True))
-    data[broken][2:5, 3] = value
+    mean, std, target = _data(10)
+    {"mean": mean, "std": std, "target": target}[broken][2:5, 3] = value
     with pytest.raises(UncertaintyError, match=rf"3 of 60 values of {broken} .*Roll: 3"):
-        ConformalCalibrator(DOF_NAMES).fit(**data)
+        ConformalCalibrator(DOF_NAMES).fit(mean, std, target)
 
 
 def test_predict_names_the_dof_that_is_not_finite() -> None:
     mean, std, _ = _data(2)
     mean[1, 5] = math.nan
-    with pytest.raises(UncertaintyError, match="values of mean .*Yaw: 1"):
+    with pytest.raises(UncertaintyError, match=r"values of mean .*Yaw: 1"):
         _fitted().predict(mean, std, level=0.9)
 
 
 def test_sigma_zero_is_refused_without_a_floor() -> None:
     mean, std, target = _data(10)
     std[4, 0] = 0.0
-    with pytest.raises(UncertaintyError, match="1 of 60 σ are not positive .*X: 1.*sigma_floor"):
+    with pytest.raises(UncertaintyError, match=r"1 of 60 σ are not positive .*X: 1.*sigma_floor"):
         ConformalCalibrator(DOF_NAMES).fit(mean, std, target)
     calibrator = ConformalCalibrator(DOF_NAMES).fit(*_data(10))
     with pytest.raises(UncertaintyError, match="X: 1"):
@@ -215,7 +215,7 @@ def test_sigma_zero_throughout_is_refused_even_with_a_floor() -> None:
 def test_negative_sigma_is_refused_even_with_a_floor() -> None:
     mean, std, target = _data(10)
     std[0, 1] = -1.0
-    with pytest.raises(UncertaintyError, match="Y: 1.*smallest -1"):
+    with pytest.raises(UncertaintyError, match=r"Y: 1.*smallest -1"):
         ConformalCalibrator(DOF_NAMES, sigma_floor=1e-6).fit(mean, std, target)
 
 

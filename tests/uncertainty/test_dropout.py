@@ -19,8 +19,8 @@ def test_found_by_type_anywhere() -> None:
 
 def test_exactly_dropout_is_active_and_flags_come_back() -> None:
     network = _network().train()
-    network[2].eval()
-    network[2][1].train()
+    network.get_submodule("2").eval()
+    network.get_submodule("2.1").train()
     flags = {name: module.training for name, module in network.named_modules()}
     with only_dropout_active(network):
         active = {name for name, module in network.named_modules() if module.training}

@@ -39,12 +39,17 @@ def test_swapped_weights_differ() -> None:
 def test_memory_format_and_mode_do_not_count() -> None:
     network = _network()
     before = fingerprint(network)
-    assert fingerprint(network.to(memory_format=torch.channels_last).eval()) == before
+    convolution = network.get_parameter("0.weight")
+    convolution.data = convolution.data.to(memory_format=torch.channels_last)
+    assert fingerprint(network.eval()) == before
 
 
+@pytest.mark.slow  # importing the compiler takes ten seconds
 def test_compiled_network_is_the_same() -> None:
     network = _network()
-    assert fingerprint(torch.compile(network)) == fingerprint(network)
+    compiled = torch.compile(network)
+    assert isinstance(compiled, nn.Module)
+    assert fingerprint(compiled) == fingerprint(network)
 
 
 @pytest.mark.parametrize("dtype", [torch.bfloat16, torch.float16])

@@ -11,7 +11,7 @@ from uncal.simulation.locking import locked
 from uncal.simulation.manifest import MANIFEST_NAME, read_manifest
 from uncal.simulation.rig import rig_date
 from uncal.simulation.settings import SimulationSettings
-from uncal.simulation.writer import PARTIAL_PREFIX, simulate
+from uncal.simulation.writer import PARTIAL_PREFIX, write_missing
 
 log = logging.getLogger(__name__)
 
@@ -66,7 +66,7 @@ def ensure_simulated(
                 len(missing),
                 len(dates),
             )
-        simulate(settings, root, workers, progress)
+        write_missing(settings, root, workers, progress)
     return root
 
 

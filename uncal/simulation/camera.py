@@ -7,17 +7,18 @@ from numpy.typing import NDArray
 
 from uncal.simulation.meshes import Array
 from uncal.simulation.palette import LUMINANCE
-from uncal.simulation.rigid import Matrix, inverse
-from uncal.simulation.scene import Hits, Scene, Sky
+from uncal.simulation.rigid import Matrix
+from uncal.simulation.scene import Hits, Scene
 from uncal.simulation.settings import CameraSettings
-from uncal.simulation.textures import Kind, VARIANTS
 
-MEAN_LUMINANCE = 0.24
+MEAN_LUMINANCE = 0.3
 """What the automatic exposure brings the picture's mean to, linear, full scale = 1."""
 
 GAMMA = 2.2
+_GAMMA_CURVE = (255 * np.linspace(0, 1, 1 << 14) ** (1 / GAMMA) + 0.5).astype(np.uint8)
+"""8-bit value of linear light; a table, because a power per channel is slow."""
 
-BATCH_RAYS = 8192
+BATCH_RAYS = 16384
 """Rays traced and shaded at a time: their arrays stay in the processor's cache."""
 
 
@@ -26,25 +27,28 @@ class Camera:
 
     A point X in the camera frame falls on pixel (u, v) = (fx X/Z + cx, fy Y/Z + cy); integer
     coordinates are pixel centres. Anti-aliasing averages n × n rays spread evenly over each pixel.
-
-    Args:
-        settings: size, supersampling and sensor.
-        K: (3, 3) camera matrix, pixels.
     """
 
     def __init__(self, settings: CameraSettings, K: NDArray[np.float64]) -> None:
+        """Prepare the rays.
+
+        Args:
+            settings: size, supersampling and sensor.
+            K: (3, 3) camera matrix, pixels.
+        """
         self.settings = settings
         n = settings.supersampling
         step = (np.arange(n) + 0.5) / n - 0.5
         rows, columns = np.arange(settings.height), np.arange(settings.width)
-        v, u, dv, du = np.meshgrid(rows, columns, step, step, indexing="ij")
+        dv, du, v, u = np.meshgrid(step, step, rows, columns, indexing="ij")
         x, y = (u + du - K[0, 2]) / K[0, 0], (v + dv - K[1, 2]) / K[1, 1]
-        # z = 1, so that a hit's t is its depth.
-        self._rays = np.stack([x, y, np.ones_like(x)], -1).reshape(-1, 3).astype(np.float32)
+        # z = 1, so that a hit's t is its depth. One full picture of rays per sample of a pixel.
+        rays = np.stack([x, y, np.ones_like(x)], -1).astype(np.float32)
+        self._rays = rays.reshape(n * n, -1, 3)
         self._sample_width = np.float32(1 / (K[0, 0] * n))
-        radius2 = (x**2 + y**2).reshape(-1, n * n).mean(1)
+        radius2 = (x**2 + y**2).reshape(n * n, -1).mean(0)
         fall = 1 - settings.vignetting * radius2 / radius2.max()
-        self._vignette = fall.astype(np.float32)[:, None]
+        self._vignette = fall.astype(np.float32)
 
     def photograph(
         self, scene: Scene, T_world_cam: Matrix, rng: np.random.Generator
@@ -62,82 +66,82 @@ class Camera:
         return self._develop(self._expose(scene, T_world_cam), rng)
 
     def _expose(self, scene: Scene, T_world_cam: Matrix) -> Array:
-        """Mean radiance of each pixel, (H·W, 3) linear RGB."""
-        samples = self.settings.supersampling**2
+        """Mean radiance of each pixel, (3, H·W) linear RGB."""
         rotation = T_world_cam[:3, :3].T.astype(np.float32)
         position = T_world_cam[:3, 3].astype(np.float32)
-        light = np.empty((len(self._rays) // samples, 3), np.float32)
-        step = max(BATCH_RAYS // samples, 1)
-        for first in range(0, len(light), step):
-            rays = self._rays[first * samples : (first + step) * samples]
-            colour = self._trace(scene, position, rays @ rotation)
-            light[first : first + step] = colour.reshape(-1, samples, 3).mean(1)
+        light = np.zeros((3, self._rays.shape[1]), np.float32)
+        for first in range(0, light.shape[1], BATCH_RAYS):
+            pixels = slice(first, first + BATCH_RAYS)
+            exposure = _Exposure(scene, position, self._sample_width, self.settings)
+            for rays in self._rays[:, pixels]:
+                exposure.add(rays @ rotation)
+            light[:, pixels] = exposure.light
+        light /= len(self._rays)
         return light
 
-    def _trace(self, scene: Scene, position: Array, directions: Array) -> Array:
-        """Radiance arriving at ``position`` against each of (N, 3) directions, (N, 3)."""
-        hits = scene.cast(np.broadcast_to(position, directions.shape).copy(), directions)
-        met = hits.triangle >= 0
-        where = np.flatnonzero(met)
-        found = Hits(hits.triangle[where], hits.t[where], hits.u[where], hits.v[where])
-        rays = directions[where]
-        slant = np.abs(np.einsum("ij,ij->i", rays, scene.normals[found.triangle]))
-        footprint = found.t * self._sample_width / np.sqrt(np.maximum(slant, 0.02))
-        in_sun = np.ones(len(where), np.float32)
-        if self.settings.shadows and scene.sky.sun.any():
-            in_sun = scene.in_sun(position + rays * found.t[:, None], found.triangle)
-        colour = np.empty_like(directions)
-        clear = np.exp(found.t * np.float32(-1 / self.settings.haze_m))[:, None]
-        seen = scene.radiance(found, footprint, in_sun)
-        colour[where] = scene.sky.horizon + (seen - scene.sky.horizon) * clear
-        empty = np.flatnonzero(~met)
-        colour[empty] = sky_radiance(scene, directions[empty])
-        return colour
-
     def _develop(self, light: Array, rng: np.random.Generator) -> NDArray[np.uint8]:
-        """Exposure, vignetting, noise, gamma, 8 bits."""
-        mean = float((light @ LUMINANCE).clip(0, 1.5).mean())
-        light = light * (self.settings.exposure * MEAN_LUMINANCE / max(mean, 1e-6)) * self._vignette
+        """Exposure, vignetting, noise, gamma, 8 bits; (3, H·W) linear → (H, W, 3)."""
+        mean = float((LUMINANCE @ light).clip(0, 1.5).mean())
+        light = light * (
+            self._vignette * (self.settings.exposure * MEAN_LUMINANCE / max(mean, 1e-6))
+        )
         noise = rng.standard_normal(light.shape, dtype=np.float32)
         # Photon noise grows with the root of the signal; the floor is the read-out's.
         light += self.settings.noise * np.sqrt(0.2 + light) * noise
-        coded = light.clip(0, 1) ** np.float32(1 / GAMMA)
+        coded = _GAMMA_CURVE.take((light.clip(0, 1) * (len(_GAMMA_CURVE) - 1)).astype(np.int32))
         shape = (self.settings.height, self.settings.width, 3)
-        return (coded * 255 + 0.5).astype(np.uint8).reshape(shape)
+        return np.ascontiguousarray(coded.T).reshape(shape)
 
 
-def sky_radiance(scene: Scene, directions: Array) -> Array:
-    """Radiance of the sky in (N, 3) directions: a gradient with clouds, (N, 3) linear RGB."""
-    sky: Sky = scene.sky
-    unit = directions / np.linalg.norm(directions, axis=1, keepdims=True).clip(1e-9)
-    up = unit[:, 2].clip(0.02, 1)
-    texture = np.full(len(unit), sky.clouds, np.int32)
-    scale = np.float32(0.08) / up
-    small = np.ones(len(unit), np.float32)
-    blend, grain = scene.textures.sample(texture, unit[:, 0] * scale, unit[:, 1] * scale, small)
-    rise = np.sqrt(up)[:, None]
-    colour = sky.horizon + (sky.zenith - sky.horizon) * rise
-    cloud = ((grain - 0.9) * 2 + blend).clip(0, 1)[:, None] * np.minimum(4 * up, 1)[:, None]
-    glow = np.maximum(unit @ sky.to_sun, 0) ** 32
-    return np.asarray(colour * (1 + 0.5 * cloud) + glow[:, None] * sky.sun, np.float32)
+class _Exposure:
+    """Light gathered by some pixels, one ray per pixel at a time.
 
+    Whether the sun shines on a point is asked again only where a pixel's ray meets another triangle
+    than its ray before: neighbouring rays on one triangle nearly always share the answer.
+    """
 
-def draw_sky(rng: np.random.Generator) -> Sky:
-    """Draw the weather: sunny, hazy or overcast, sun anywhere between 15° and 65°."""
-    azimuth, elevation = rng.uniform(0, 2 * np.pi), np.deg2rad(rng.uniform(15, 65))
-    flat = np.cos(elevation)
-    to_sun = np.array([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)])
-    overcast = rng.random() < 0.3
-    strength = 0.0 if overcast else rng.uniform(0.6, 2.0)
-    warmth = rng.uniform(0, 0.25)
-    blue = 0.02 if overcast else rng.uniform(0.1, 0.35)
-    ambient = rng.uniform(0.5, 0.8) * np.array([1 - blue, 1 - 0.4 * blue, 1.0])
-    level = rng.uniform(0.7, 1.3)
-    return Sky(
-        to_sun=to_sun.astype(np.float32),
-        sun=(strength * np.array([1.0, 1 - 0.5 * warmth, 1 - warmth])).astype(np.float32),
-        ambient=ambient.astype(np.float32),
-        horizon=(level * np.array([1 - 0.5 * blue, 1 - 0.2 * blue, 1.0])).astype(np.float32),
-        zenith=(level * 0.7 * np.array([1 - 2 * blue, 1 - blue, 1.0])).astype(np.float32),
-        clouds=int(Kind.ROUGH * VARIANTS + rng.integers(VARIANTS)),
-    )
+    def __init__(
+        self, scene: Scene, position: Array, sample_width: np.float32, settings: CameraSettings
+    ) -> None:
+        """Open the shutter at a (3,) world position."""
+        self.light: Array = np.zeros((3, 0), np.float32)
+        self._scene = scene
+        self._position = position
+        self._sample_width = sample_width
+        self._settings = settings
+        self._shadows = settings.shadows and bool(scene.sky.sun.any())
+        self._triangle: NDArray[np.int32] | None = None
+        self._in_sun: Array = np.ones(0, np.float32)
+
+    def add(self, directions: Array) -> None:
+        """Trace one ray per pixel, (N, 3) world directions, and add what it brings."""
+        scene = self._scene
+        origins = np.empty_like(directions)
+        origins[:] = self._position
+        hits = scene.cast(origins, directions)
+        in_sun = self._sunlight(hits, directions)
+        where = np.flatnonzero(hits.triangle >= 0)
+        found, rays = hits.take(where), directions.take(where, axis=0)
+        slant = np.sqrt(np.maximum(scene.slant(found, rays), np.float32(0.02)))
+        footprint = found.t * self._sample_width / slant
+        seen = scene.radiance(found, footprint, in_sun.take(where))
+        clear = np.exp(found.t * np.float32(-1 / self._settings.haze_m))
+        empty = np.flatnonzero(hits.triangle < 0)
+        sky = scene.sky.radiance(scene.textures, directions.take(empty, axis=0))
+        if not self.light.size:
+            self.light = np.zeros((3, len(directions)), np.float32)
+        for channel, haze in enumerate(scene.sky.horizon):
+            self.light[channel, where] += haze + (seen[channel] - haze) * clear
+            self.light[channel, empty] += sky[channel]
+
+    def _sunlight(self, hits: Hits, directions: Array) -> Array:
+        """Share of the sun that reaches each hit, (N,)."""
+        if self._triangle is None:
+            self._triangle = np.full(len(directions), -1, np.int32)
+            self._in_sun = np.ones(len(directions), np.float32)
+        if self._shadows:
+            new = np.flatnonzero((hits.triangle >= 0) & (hits.triangle != self._triangle))
+            points = directions.take(new, axis=0) * hits.t.take(new)[:, None] + self._position
+            self._in_sun[new] = self._scene.in_sun(points, hits.triangle.take(new))
+            self._triangle = hits.triangle
+        return self._in_sun

@@ -11,7 +11,8 @@ import numpy as np
 
 from uncal.errors import RecordingError
 from uncal.simulation.buildings import add_buildings
-from uncal.simulation.camera import Camera, draw_sky
+from uncal.simulation.camera import Camera
+from uncal.simulation.cars import add_cars
 from uncal.simulation.furniture import add_furniture
 from uncal.simulation.lidar import Lidar
 from uncal.simulation.meshes import Mesh
@@ -20,12 +21,16 @@ from uncal.simulation.rigid import inverse
 from uncal.simulation.scene import Scene
 from uncal.simulation.seeding import Stream, generator
 from uncal.simulation.settings import SimulationSettings
+from uncal.simulation.sky import draw_sky
 from uncal.simulation.street import Street, add_ground, draw_street
 from uncal.simulation.textures import TextureLibrary, build_library
 from uncal.simulation.trajectory import distance_along, vehicle_pose
 
 BEHIND_M = 25.0
 """Length of street modelled behind a LiDAR that does not look back."""
+
+SEEN_ABREAST_M = 40.0
+"""Beyond those, what is kept of the model, so that no front is cut off and the end is closed."""
 
 
 @dataclass(frozen=True)
@@ -67,10 +72,10 @@ def build_scene(settings: SimulationSettings, piece: Piece) -> tuple[Street, Sce
     mesh = Mesh()
     add_ground(mesh, street, rng)
     add_buildings(mesh, street, limits, rng)
-    add_furniture(mesh, street, limits, rng, (0.0, driven))
+    add_cars(mesh, street, limits, rng, (0.0, driven))
+    add_furniture(mesh, street, limits, rng)
     first, last = (distance_along(settings, frame) for frame in (piece.first, piece.last - 1))
-    # Twice the view: a first frame of a piece sees farther than the last one needs.
-    reach = (first - behind - 40, last + 2 * limits.view_m)
+    reach = (first - behind - SEEN_ABREAST_M, last + limits.view_m + SEEN_ABREAST_M)
     return street, Scene(mesh, sky, texture_library(settings.seed), reach)
 
 

@@ -23,7 +23,7 @@ def drive_name(date: str, drive: int) -> str:
 
 
 def timestamps(date: str, drive: int, settings: SimulationSettings) -> Iterator[str]:
-    """KITTI's timestamp lines (nanoseconds); drives begin an hour apart at 08:00, 09:00, …"""
+    """KITTI's timestamp lines (nanoseconds); drives begin an hour apart, from 08:00 on."""
     begin = datetime.datetime.strptime(date, "%Y_%m_%d") + datetime.timedelta(hours=8 + drive)
     for frame in range(settings.frames_per_drive):
         time = begin + datetime.timedelta(seconds=frame * settings.vehicle.frame_interval_s)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uncal.simulation.rigid import Matrix
-from uncal.simulation.scene import Hits, Scene
+from uncal.simulation.scene import Scene
 from uncal.simulation.settings import LidarSettings
 
 BEAM_DIVERGENCE_RAD = 0.003
@@ -19,14 +19,15 @@ DETECTABLE = 0.012
 
 
 class Lidar:
-    """A LiDAR that takes instantaneous sweeps: no motion distortion, as after compensation.
-
-    Args:
-        settings: azimuths, ranges, noise.
-        elevations: (beams,) radians.
-    """
+    """A LiDAR that takes instantaneous sweeps: no motion distortion, as after compensation."""
 
     def __init__(self, settings: LidarSettings, elevations: NDArray[np.float64]) -> None:
+        """Prepare the rays.
+
+        Args:
+            settings: azimuths, ranges, noise.
+            elevations: (beams,) radians.
+        """
         self.settings = settings
         steps = max(round(settings.azimuth_fov_deg / settings.azimuth_step_deg), 1)
         azimuth = np.deg2rad((np.arange(steps) - (steps - 1) / 2) * settings.azimuth_step_deg)
@@ -60,12 +61,11 @@ class Lidar:
         noise = rng.standard_normal((2, len(directions)), dtype=np.float32)
         fate = rng.random((2, len(directions)), dtype=np.float32)
         where = np.flatnonzero(hits.triangle >= 0)
-        found = Hits(hits.triangle[where], hits.t[where], hits.u[where], hits.v[where])
-        noise, fate, rays = noise[:, where], fate[:, where], self._rays[where]
+        found, rays = hits.take(where), self._rays.take(where, axis=0)
+        noise, fate = noise.take(where, axis=1), fate.take(where, axis=1)
 
         reflectance = scene.reflectance(found, found.t * np.float32(BEAM_DIVERGENCE_RAD))
-        normals = scene.normals[found.triangle]
-        cosine = np.abs(np.einsum("ij,ij->i", directions[where], normals))
+        cosine = scene.slant(found, directions.take(where, axis=0))
         power = reflectance * cosine / np.maximum(found.t / FULL_POWER_RANGE_M, 0.2) ** 2
         lost = (fate[0] < limits.dropout) | (fate[1] * (1 + (power / DETECTABLE) ** 2) < 1)
         measured = found.t + limits.range_noise_m * noise[0]

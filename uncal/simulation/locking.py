@@ -32,6 +32,10 @@ def locked(root: Path) -> Iterator[None]:
             holder = file.read().strip() or "unknown"
             log.info("waiting for process %s, which simulates into %s", holder, root)
             fcntl.flock(file, fcntl.LOCK_EX)
+        except OSError as error:
+            log.warning(
+                "%s cannot be locked (%s): only one process may simulate there", root, error
+            )
         file.seek(0)
         file.truncate()
         file.write(f"{os.getpid()}\n")

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float32]
+Points = NDArray[np.float64]
 
 _CORNERS = np.array(
     [[x, y, z] for z in (0, 1) for x, y in ((-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5))]
@@ -35,14 +36,24 @@ class Surfaces:
     reflectance: Array
     fit: NDArray[np.bool_]
 
-    def __getitem__(self, index: object) -> Surfaces:
-        """The surfaces of some of the objects."""
+    def __getitem__(self, index: NDArray[np.int64] | NDArray[np.bool_]) -> Surfaces:
+        """The surfaces of some of the objects, repeated where the index repeats."""
         return Surfaces(
-            self.texture[index],  # type: ignore[index]
-            self.tile[index],  # type: ignore[index]
-            self.colours[index],  # type: ignore[index]
-            self.reflectance[index],  # type: ignore[index]
-            self.fit[index],  # type: ignore[index]
+            self.texture[index],
+            self.tile[index],
+            self.colours[index],
+            self.reflectance[index],
+            self.fit[index],
+        )
+
+    def where(self, first: NDArray[np.bool_], second: Surfaces) -> Surfaces:
+        """These surfaces where ``first`` is true, those of ``second`` elsewhere."""
+        return Surfaces(
+            np.where(first, self.texture, second.texture),
+            np.where(first[:, None], self.tile, second.tile),
+            np.where(first[:, None, None], self.colours, second.colours),
+            np.where(first[:, None], self.reflectance, second.reflectance),
+            np.where(first, self.fit, second.fit),
         )
 
 
@@ -59,8 +70,8 @@ class Mesh:
 
     def add(
         self,
-        quads: Array,
-        extent: Array,
+        quads: Points,
+        extent: Points,
         surfaces: Surfaces,
         rng: np.random.Generator | None = None,
     ) -> None:
@@ -90,7 +101,22 @@ class Mesh:
             surfaces,
         )
 
-    def add_triangles(self, triangles: Array, uv: Array, surfaces: Surfaces) -> None:
+    def add_boxes(
+        self,
+        base: Points,
+        size: Points,
+        yaw: Points,
+        sides: Surfaces,
+        rng: np.random.Generator,
+        ends: Surfaces | None = None,
+        taper: Points | float = 1.0,
+    ) -> None:
+        """Add boxes; see :func:`boxes`. ``ends``: surfaces of top and bottom, unset: the sides'."""
+        side_quads, side_extent, end_quads, end_extent = boxes(base, size, yaw, taper)
+        self.add(side_quads, side_extent, sides, rng)
+        self.add(end_quads, end_extent, ends or sides, rng)
+
+    def add_triangles(self, triangles: Points, uv: Points, surfaces: Surfaces) -> None:
         """Add (n, t, 3, 3) triangles of n objects with (n, t, 3, 2) texture coordinates."""
         if not triangles.size:
             return
@@ -103,7 +129,7 @@ class Mesh:
         self.texel_density.append(np.repeat(1 / surfaces.tile.min(1), each).astype(np.float32))
 
 
-def rotate(points: Array, yaw: Array) -> Array:
+def rotate(points: Points, yaw: Points) -> Points:
     """Rotate (n, ..., 3) points of n objects about z by (n,) radians."""
     shape = (-1,) + (1,) * (points.ndim - 2)
     c, s = np.cos(yaw).reshape(shape), np.sin(yaw).reshape(shape)
@@ -112,8 +138,8 @@ def rotate(points: Array, yaw: Array) -> Array:
 
 
 def boxes(
-    base: Array, size: Array, yaw: Array, taper: Array | float = 1.0
-) -> tuple[Array, Array, Array, Array]:
+    base: Points, size: Points, yaw: Points, taper: Points | float = 1.0
+) -> tuple[Points, Points, Points, Points]:
     """Corners of boxes standing on their base.
 
     Args:
@@ -135,7 +161,9 @@ def boxes(
     return corners[:, _SIDES], side_extent, corners[:, _ENDS], end_extent
 
 
-def prisms(base: Array, radius: Array, height: Array, top: Array, sides: int) -> tuple[Array, Array]:
+def prisms(
+    base: Points, radius: Points, height: Points, top: Points, sides: int
+) -> tuple[Points, Points]:
     """Side faces of upright prisms: poles and trunks.
 
     Args:
@@ -158,10 +186,17 @@ def prisms(base: Array, radius: Array, height: Array, top: Array, sides: int) ->
     return quads, extent
 
 
-def _icosphere() -> tuple[Array, NDArray[np.int64]]:
+def _icosphere() -> tuple[Points, NDArray[np.int64]]:
     """Vertices (42, 3) and faces (80, 3) of an icosahedron split once."""
     g = (1 + 5**0.5) / 2
-    vertices = [(-1, g, 0), (1, g, 0), (-1, -g, 0), (1, -g, 0), (0, -1, g), (0, 1, g)]
+    vertices: list[tuple[float, float, float]] = [
+        (-1, g, 0),
+        (1, g, 0),
+        (-1, -g, 0),
+        (1, -g, 0),
+        (0, -1, g),
+        (0, 1, g),
+    ]
     vertices += [(0, -1, -g), (0, 1, -g), (g, 0, -1), (g, 0, 1), (-g, 0, -1), (-g, 0, 1)]
     faces = [(0, 11, 5), (0, 5, 1), (0, 1, 7), (0, 7, 10), (0, 10, 11), (1, 5, 9), (5, 11, 4)]
     faces += [(11, 10, 2), (10, 7, 6), (7, 1, 8), (3, 9, 4), (3, 4, 2), (3, 2, 6), (3, 6, 8)]
@@ -188,8 +223,8 @@ _SPHERE_POINTS, _SPHERE_FACES = _icosphere()
 
 
 def blobs(
-    centre: Array, radii: Array, roughness: float, rng: np.random.Generator
-) -> tuple[Array, Array]:
+    centre: Points, radii: Points, roughness: float, rng: np.random.Generator
+) -> tuple[Points, Points]:
     """Dented low-poly ellipsoids: crowns, bushes, heads.
 
     Args:

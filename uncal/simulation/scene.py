@@ -10,31 +10,11 @@ from embreex.rtcore_scene import EmbreeScene  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 
 from uncal.simulation.meshes import Array, Mesh
+from uncal.simulation.sky import Sky
 from uncal.simulation.textures import SIZE, TextureLibrary
 
 SHADOW_OFFSET_M = 0.01
 """Shadow rays start this far above the surface, so that it does not shade itself."""
-
-
-@dataclass(frozen=True)
-class Sky:
-    """Light of one drive; linear RGB.
-
-    Attributes:
-        to_sun: (3,) unit vector towards the sun.
-        sun: (3,) irradiance of a surface facing the sun; near zero on an overcast day.
-        ambient: (3,) irradiance from the sky.
-        horizon: (3,) radiance of the sky at the horizon, also the colour of haze.
-        zenith: (3,) radiance overhead.
-        clouds: texture number of the clouds.
-    """
-
-    to_sun: Array
-    sun: Array
-    ambient: Array
-    horizon: Array
-    zenith: Array
-    clouds: int
 
 
 @dataclass(frozen=True)
@@ -53,20 +33,27 @@ class Hits:
     u: Array
     v: Array
 
+    def take(self, index: NDArray[np.int64]) -> Hits:
+        """Some of the hits."""
+        return Hits(
+            self.triangle.take(index), self.t.take(index), self.u.take(index), self.v.take(index)
+        )
+
 
 class Scene:
-    """A street that can be asked what a ray meets.
-
-    Args:
-        mesh: all triangles, wound counter-clockwise as seen from outside.
-        sky: the light, for what depends on the surfaces' orientation alone.
-        textures: the library that the mesh's texture numbers refer to.
-        reach: (2,) smallest and largest world x of the triangles to keep, metres.
-    """
+    """A street that can be asked what a ray meets."""
 
     def __init__(
         self, mesh: Mesh, sky: Sky, textures: TextureLibrary, reach: tuple[float, float]
     ) -> None:
+        """Build the Embree scene.
+
+        Args:
+            mesh: all triangles, wound counter-clockwise as seen from outside.
+            sky: the light, for what depends on the surfaces' orientation alone.
+            textures: the library that the mesh's texture numbers refer to.
+            reach: smallest and largest world x of the triangles to keep, metres.
+        """
         triangles = np.concatenate(mesh.triangles)
         x = triangles[:, :, 0]
         keep = (x.max(1) > reach[0]) & (x.min(1) < reach[1])
@@ -83,7 +70,8 @@ class Scene:
         self._texture = np.concatenate(mesh.texture)[keep]
         self._reflectance = np.concatenate(mesh.reflectance)[keep]
         lit = (normals @ sky.to_sun).clip(0)
-        ambient = 0.55 + 0.45 * normals[:, 2]
+        # Even an overcast sky is brighter towards the sun: faces of one wall's corner differ.
+        ambient = 0.55 + 0.3 * normals[:, 2] + 0.15 * normals @ sky.to_sun
         # One row per triangle: a hit then costs one gather of a cache line.
         self._look = np.column_stack([colours[:, 0], colours[:, 1] - colours[:, 0], ambient, lit])
         self._map = np.column_stack([uv[:, 0], uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0], density])
@@ -109,14 +97,23 @@ class Scene:
         return Hits(found["primID"], found["tfar"], found["u"], found["v"])
 
     def in_sun(self, points: Array, triangle: NDArray[np.int32]) -> Array:
-        """1 where nothing stands between a point on a triangle and the sun, else 0."""
+        """1 where nothing stands between a point on a triangle and the sun, else 0, (N,)."""
         lit = np.zeros(len(points), np.float32)
-        facing = np.flatnonzero(self._look[triangle, 7] > 0)
-        lifted = points[facing] + SHADOW_OFFSET_M * self.normals[triangle[facing]]
+        facing = np.flatnonzero(self._look.take(triangle, axis=0)[:, 7] > 0)
+        lifted = points.take(facing, axis=0)
+        lifted += SHADOW_OFFSET_M * self.normals.take(triangle[facing], axis=0)
         to_sun = np.empty_like(lifted)
         to_sun[:] = self.sky.to_sun
         lit[facing] = self._embree.run(lifted, to_sun, query="OCCLUDED") < 0
         return lit
+
+    def slant(self, hits: Hits, directions: Array) -> Array:
+        """|n · d| of hits by rays of (N, 3) direction: the cosine of incidence times |d|."""
+        normal = self.normals.take(hits.triangle, axis=0)
+        product = directions[:, 0] * normal[:, 0]
+        product += directions[:, 1] * normal[:, 1]
+        product += directions[:, 2] * normal[:, 2]
+        return np.asarray(np.abs(product))
 
     def texture_at(self, hits: Hits, footprint: Array) -> tuple[Array, Array]:
         """Blend and grain where rays hit (all must have hit).
@@ -125,14 +122,14 @@ class Scene:
             hits: the hits.
             footprint: (N,) width of what one ray stands for, metres.
         """
-        row = self._map[hits.triangle]
+        row = self._map.take(hits.triangle, axis=0)
         u = row[:, 0] + hits.u * row[:, 2] + hits.v * row[:, 4]
         v = row[:, 1] + hits.u * row[:, 3] + hits.v * row[:, 5]
-        texture = self._texture[hits.triangle]
+        texture = self._texture.take(hits.triangle)
         return self.textures.sample(texture, u, v, footprint * row[:, 6])
 
     def radiance(self, hits: Hits, footprint: Array, in_sun: Array) -> Array:
-        """Light leaving the surfaces (Lambert), (N, 3) linear RGB.
+        """Light leaving the surfaces (Lambert), (3, N) linear RGB.
 
         L = albedo · (ambient sky light + visible sun · max(0, n·s)), all of unit scale.
 
@@ -142,16 +139,18 @@ class Scene:
             in_sun: (N,) share of the sun that is visible, 0..1.
         """
         blend, grain = self.texture_at(hits, footprint)
-        row = self._look[hits.triangle]
-        colour = row[:, 0:3] + row[:, 3:6] * blend[:, None]
-        light = (grain * row[:, 6])[:, None] * self.sky.ambient
-        light += (grain * row[:, 7] * in_sun)[:, None] * self.sky.sun
-        colour *= light
-        return np.asarray(colour)
+        row = self._look.take(hits.triangle, axis=0)
+        ambient, direct = grain * row[:, 6], grain * row[:, 7] * in_sun
+        colour = np.empty((3, len(grain)), np.float32)
+        # Channel by channel: numpy is slow where the innermost axis has three elements.
+        for channel, (sky, sun) in enumerate(zip(self.sky.ambient, self.sky.sun, strict=True)):
+            albedo = row[:, channel] + row[:, 3 + channel] * blend
+            np.multiply(albedo, ambient * sky + direct * sun, out=colour[channel])
+        return colour
 
     def reflectance(self, hits: Hits, footprint: Array) -> Array:
         """Reflectance at the LiDAR's wavelength, (N,) in 0..1."""
         blend, grain = self.texture_at(hits, footprint)
-        pair = self._reflectance[hits.triangle]
+        pair = self._reflectance.take(hits.triangle, axis=0)
         mixed = pair[:, 0] + (pair[:, 1] - pair[:, 0]) * blend
         return np.asarray((mixed * (0.5 + 0.5 * grain)).clip(0, 1), np.float32)

@@ -1,4 +1,4 @@
-"""Independent random streams named by what they are for, so that order and processes don't matter."""
+"""Independent random streams, named by what they are for: neither order nor processes matter."""
 
 from __future__ import annotations
 

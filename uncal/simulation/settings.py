@@ -9,8 +9,8 @@ import difflib
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields, is_dataclass
-from typing import ClassVar, TypeVar, cast, get_type_hints
+from dataclasses import asdict, dataclass, fields
+from typing import Annotated, ClassVar, TypeVar, cast, get_type_hints
 
 from uncal.errors import ConfigurationError
 
@@ -23,14 +23,12 @@ MAX_RIGS = 3652
 GroupT = TypeVar("GroupT", bound="SettingsGroup")
 
 
-def within(low: float, high: float) -> float:
-    """A field whose value must lie in [low, high]; typed as float for the dataclass' sake."""
-    return cast(float, field(metadata={"low": low, "high": high}))
+@dataclass(frozen=True)
+class Within:
+    """Bounds of a setting, both allowed; an annotation of its field."""
 
-
-def count(low: int, high: int) -> int:
-    """A whole-number field whose value must lie in [low, high]."""
-    return cast(int, field(metadata={"low": low, "high": high}))
+    low: float
+    high: float
 
 
 @dataclass(frozen=True)
@@ -45,14 +43,14 @@ class SettingsGroup:
         Raises:
             ConfigurationError: names the key, its value and the bound.
         """
-        for item in fields(self):
-            if "low" not in item.metadata:
-                continue
-            value, low, high = getattr(self, item.name), item.metadata["low"], item.metadata["high"]
-            if not low <= value <= high:
-                raise ConfigurationError(
-                    f"{self.key}.{item.name} is {value}; it must lie between {low} and {high}"
-                )
+        for name, hint in get_type_hints(type(self), include_extras=True).items():
+            for bound in getattr(hint, "__metadata__", ()):
+                value = getattr(self, name)
+                if not bound.low <= value <= bound.high:
+                    raise ConfigurationError(
+                        f"{self.key}.{name} is {value}; it must lie between {bound.low} and "
+                        f"{bound.high}"
+                    )
 
     def require_order(self, lower: str, upper: str) -> None:
         """Raise unless the field ``lower`` is smaller than the field ``upper``."""
@@ -93,7 +91,7 @@ class SettingsGroup:
 
 def _convert(group: str, name: str, expected: type, value: object) -> object:
     """Turn a YAML value into the field's type without losing anything."""
-    if is_dataclass(expected) and issubclass(expected, SettingsGroup):
+    if issubclass(expected, SettingsGroup):
         if not isinstance(value, Mapping):
             raise ConfigurationError(f"{group}.{name} is {value!r}; it must be a group of keys")
         return expected.from_mapping(cast(Mapping[str, object], value))
@@ -113,15 +111,15 @@ class CameraSettings(SettingsGroup):
     """The pinhole camera; see the YAML for units."""
 
     key: ClassVar[str] = "simulation.camera"
-    height: int = count(8, 4096)
-    width: int = count(8, 4096)
-    focal_px: float = within(4.0, 10000.0)
-    supersampling: int = count(1, 8)
+    height: Annotated[int, Within(8, 4096)]
+    width: Annotated[int, Within(8, 4096)]
+    focal_px: Annotated[float, Within(4.0, 10000.0)]
+    supersampling: Annotated[int, Within(1, 8)]
     shadows: bool
-    exposure: float = within(0.05, 20.0)
-    noise: float = within(0.0, 0.5)
-    vignetting: float = within(0.0, 1.0)
-    haze_m: float = within(10.0, 1e6)
+    exposure: Annotated[float, Within(0.05, 20.0)]
+    noise: Annotated[float, Within(0.0, 0.5)]
+    vignetting: Annotated[float, Within(0.0, 1.0)]
+    haze_m: Annotated[float, Within(10.0, 1e6)]
 
 
 @dataclass(frozen=True)
@@ -129,17 +127,17 @@ class LidarSettings(SettingsGroup):
     """The spinning LiDAR; see the YAML for units."""
 
     key: ClassVar[str] = "simulation.lidar"
-    beams: int = count(1, 512)
-    elevation_min_deg: float = within(-89.0, 89.0)
-    elevation_max_deg: float = within(-89.0, 89.0)
-    beam_jitter_deg: float = within(0.0, 2.0)
-    azimuth_step_deg: float = within(0.01, 45.0)
-    azimuth_fov_deg: float = within(1.0, 360.0)
-    range_min_m: float = within(0.0, 50.0)
-    range_max_m: float = within(1.0, 500.0)
-    range_noise_m: float = within(0.0, 1.0)
-    reflectance_noise: float = within(0.0, 1.0)
-    dropout: float = within(0.0, 0.99)
+    beams: Annotated[int, Within(1, 512)]
+    elevation_min_deg: Annotated[float, Within(-89.0, 89.0)]
+    elevation_max_deg: Annotated[float, Within(-89.0, 89.0)]
+    beam_jitter_deg: Annotated[float, Within(0.0, 2.0)]
+    azimuth_step_deg: Annotated[float, Within(0.01, 45.0)]
+    azimuth_fov_deg: Annotated[float, Within(1.0, 360.0)]
+    range_min_m: Annotated[float, Within(0.0, 50.0)]
+    range_max_m: Annotated[float, Within(1.0, 500.0)]
+    range_noise_m: Annotated[float, Within(0.0, 1.0)]
+    reflectance_noise: Annotated[float, Within(0.0, 1.0)]
+    dropout: Annotated[float, Within(0.0, 0.99)]
 
     def __post_init__(self) -> None:
         """Check bounds and the order of pairs."""
@@ -154,13 +152,13 @@ class RigSettings(SettingsGroup):
     """How one rig (date folder) differs from the next."""
 
     key: ClassVar[str] = "simulation.rig"
-    rotation_deg: float = within(0.0, 30.0)
-    translation_cm: float = within(0.0, 200.0)
-    focal_percent: float = within(0.0, 50.0)
-    principal_point_px: float = within(0.0, 200.0)
-    lidar_attitude_deg: float = within(0.0, 30.0)
-    lidar_height_m: float = within(0.3, 10.0)
-    lidar_height_variation_m: float = within(0.0, 2.0)
+    rotation_deg: Annotated[float, Within(0.0, 30.0)]
+    translation_cm: Annotated[float, Within(0.0, 200.0)]
+    focal_percent: Annotated[float, Within(0.0, 50.0)]
+    principal_point_px: Annotated[float, Within(0.0, 200.0)]
+    lidar_attitude_deg: Annotated[float, Within(0.0, 30.0)]
+    lidar_height_m: Annotated[float, Within(0.3, 10.0)]
+    lidar_height_variation_m: Annotated[float, Within(0.0, 2.0)]
 
 
 @dataclass(frozen=True)
@@ -168,12 +166,12 @@ class VehicleSettings(SettingsGroup):
     """How the vehicle moves along the street and sways."""
 
     key: ClassVar[str] = "simulation.vehicle"
-    speed_mps: float = within(0.0, 60.0)
-    frame_interval_s: float = within(0.001, 100.0)
-    attitude_deg: float = within(0.0, 20.0)
-    height_m: float = within(0.0, 0.5)
-    heading_deg: float = within(0.0, 30.0)
-    drift_m: float = within(0.0, 1.5)
+    speed_mps: Annotated[float, Within(0.0, 60.0)]
+    frame_interval_s: Annotated[float, Within(0.001, 100.0)]
+    attitude_deg: Annotated[float, Within(0.0, 20.0)]
+    height_m: Annotated[float, Within(0.0, 0.5)]
+    heading_deg: Annotated[float, Within(0.0, 30.0)]
+    drift_m: Annotated[float, Within(0.0, 1.5)]
 
 
 @dataclass(frozen=True)
@@ -181,18 +179,18 @@ class SceneSettings(SettingsGroup):
     """How densely the street is furnished."""
 
     key: ClassVar[str] = "simulation.scene"
-    view_m: float = within(40.0, 400.0)
-    bend_deg: float = within(0.0, 10.0)
-    slope_deg: float = within(0.0, 5.0)
-    crossing_probability: float = within(0.0, 1.0)
-    building_gap_probability: float = within(0.0, 1.0)
-    building_height_m: float = within(2.5, 60.0)
-    parked_cars_per_100m: float = within(0.0, 30.0)
-    moving_cars_per_100m: float = within(0.0, 15.0)
-    poles_per_100m: float = within(0.0, 60.0)
-    trees_per_100m: float = within(0.0, 60.0)
-    pedestrians_per_100m: float = within(0.0, 100.0)
-    clutter_per_100m: float = within(0.0, 200.0)
+    view_m: Annotated[float, Within(40.0, 400.0)]
+    bend_deg: Annotated[float, Within(0.0, 10.0)]
+    slope_deg: Annotated[float, Within(0.0, 5.0)]
+    crossing_probability: Annotated[float, Within(0.0, 1.0)]
+    building_gap_probability: Annotated[float, Within(0.0, 1.0)]
+    building_height_m: Annotated[float, Within(2.5, 60.0)]
+    parked_cars_per_100m: Annotated[float, Within(0.0, 30.0)]
+    moving_cars_per_100m: Annotated[float, Within(0.0, 15.0)]
+    poles_per_100m: Annotated[float, Within(0.0, 60.0)]
+    trees_per_100m: Annotated[float, Within(0.0, 60.0)]
+    pedestrians_per_100m: Annotated[float, Within(0.0, 100.0)]
+    clutter_per_100m: Annotated[float, Within(0.0, 200.0)]
 
 
 @dataclass(frozen=True)
@@ -203,10 +201,10 @@ class SimulationSettings(SettingsGroup):
     """
 
     key: ClassVar[str] = "simulation"
-    seed: int = count(0, 2**63 - 1)
-    n_rigs: int = count(1, MAX_RIGS)
-    drives_per_rig: int = count(1, 9999)
-    frames_per_drive: int = count(1, 1_000_000)
+    seed: Annotated[int, Within(0, 2**63 - 1)]
+    n_rigs: Annotated[int, Within(1, MAX_RIGS)]
+    drives_per_rig: Annotated[int, Within(1, 9999)]
+    frames_per_drive: Annotated[int, Within(1, 1_000_000)]
     camera: CameraSettings
     lidar: LidarSettings
     rig: RigSettings

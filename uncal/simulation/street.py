@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from uncal.simulation.meshes import Array, Mesh, Surfaces
+from uncal.simulation.meshes import Mesh, Surfaces
 from uncal.simulation.palette import colours, surfaces
 from uncal.simulation.settings import SceneSettings
 from uncal.simulation.textures import Kind
@@ -23,6 +23,7 @@ VERGE_M = 70.0
 """How far the ground reaches to both sides."""
 
 MARKING_M = 0.15
+KERB_STONE_M = 0.15
 
 
 @dataclass(frozen=True)
@@ -102,9 +103,7 @@ class Street:
         return np.asarray(((s[:, None] > low - reach) & (s[:, None] < high + reach)).any(1))
 
 
-def draw_street(
-    scene: SceneSettings, rng: np.random.Generator, start: float, end: float
-) -> Street:
+def draw_street(scene: SceneSettings, rng: np.random.Generator, start: float, end: float) -> Street:
     """Draw the course and cross section of a street from s = start to end."""
 
     def wave(largest_deg: float) -> tuple[float, float, float]:
@@ -136,29 +135,28 @@ def add_ground(mesh: Mesh, street: Street, rng: np.random.Generator) -> None:
     cells = np.stack([edges[:-1], edges[1:]], 1)
     crossing = street.in_crossing(cells.mean(1), 0.0)
     plain, kerb = cells[~crossing], street.kerb_m
-    asphalt, side = _road_surface(rng), _pavement_surface(rng)
+    asphalt, side, stone = _road_surface(rng), _pavement_surface(rng), _kerb_surface(rng)
     verge, line, dashes = _verge_surface(rng), _paint(rng, Kind.ROUGH), _paint(rng, Kind.DASHES)
+    edge_line = street.lane_m - rng.uniform(0.1, 0.3) if rng.random() < 0.7 else None
     half = MARKING_M / 2
-    lines_y = street.lane_m - rng.uniform(0.1, 0.3) if rng.random() < 0.7 else None
     _strip(mesh, street, cells, -half, half, 0.0, dashes if rng.random() < 0.8 else line)
+    mouths = [np.repeat(ends[:, None], 2, axis=1) for ends in street.crossings.T]
     for sign in (-1, 1):
-        cuts = [half, street.kerb_y] if lines_y is None else [half, lines_y, street.kerb_y]
-        for inner, outer in zip(cuts[:-1], cuts[1:], strict=True):
-            begin = inner + MARKING_M if inner == lines_y else inner
-            _strip(mesh, street, cells, sign * begin, sign * outer, 0.0, asphalt)
-        if lines_y is not None:
-            _strip(mesh, street, cells, sign * lines_y, sign * (lines_y + MARKING_M), 0.0, line)
-        y = sign * street.kerb_y
-        stone = sign * (street.kerb_y + 0.15)
-        _wall(mesh, street, plain, (y, y), kerb, _kerb_surface(rng), sign)
-        _strip(mesh, street, plain, y, stone, kerb, _kerb_surface(rng))
-        _strip(mesh, street, plain, stone, sign * street.front_y, kerb, side)
-        _strip(mesh, street, plain, sign * street.front_y, sign * VERGE_M, kerb, verge)
-        _strip(mesh, street, cells[crossing], y, sign * VERGE_M, 0.0, asphalt)
-        for low, high in street.crossings:
-            for s, outward in ((low, 1), (high, -1)):
-                ends = np.array([[s, s]])
-                _wall(mesh, street, ends, (y, sign * VERGE_M), kerb, _kerb_surface(rng), outward)
+        begin = half
+        if edge_line is not None:
+            _strip(mesh, street, cells, sign * half, sign * edge_line, 0.0, asphalt)
+            begin = edge_line + MARKING_M
+            _strip(mesh, street, cells, sign * edge_line, sign * begin, 0.0, line)
+        _strip(mesh, street, cells, sign * begin, sign * street.kerb_y, 0.0, asphalt)
+        kerb_y, front_y, end_y = (sign * y for y in (street.kerb_y, street.front_y, VERGE_M))
+        back_y = kerb_y + sign * KERB_STONE_M
+        _strip(mesh, street, plain, kerb_y, back_y, kerb, stone)
+        _strip(mesh, street, plain, back_y, front_y, kerb, side)
+        _strip(mesh, street, plain, front_y, end_y, kerb, verge)
+        _strip(mesh, street, cells[crossing], kerb_y, end_y, 0.0, asphalt)
+        _wall(mesh, street, plain[:, ::sign], (kerb_y, kerb_y), kerb, stone)
+        for ends, y in zip(mouths, ((kerb_y, end_y), (end_y, kerb_y)), strict=True):
+            _wall(mesh, street, ends, y[::sign], kerb, stone)
 
 
 def _strip(
@@ -174,31 +172,37 @@ def _strip(
     low, high = min(y0, y1), max(y0, y1)
     s0, s1 = cells.T
     corners = [(s0, low), (s1, low), (s1, high), (s0, high)]
-    quads = np.stack([np.stack([s, np.full_like(s, y), np.full_like(s, z)], -1) for s, y in corners])
+    flat = [np.stack([s, np.full_like(s, y), np.full_like(s, z)], -1) for s, y in corners]
     extent = np.stack([s1 - s0, np.full_like(s0, high - low)], -1)
     each = surface[np.zeros(len(cells), int)]
-    mesh.add(street.world(quads.transpose(1, 0, 2)[:, None]), extent[:, None], each)
+    mesh.add(street.world(np.stack(flat, 1)[:, None]), extent[:, None], each)
 
 
 def _wall(
     mesh: Mesh,
     street: Street,
-    cells: NDArray[np.float64],
-    y: tuple[float, float],
+    ends: NDArray[np.float64],
+    y: tuple[float, ...],
     height: float,
     surface: Surfaces,
-    facing: int,
 ) -> None:
-    """Add vertical faces from the road up to ``height`` along the cells' ends."""
-    first = np.stack([cells[:, 0], np.full(len(cells), y[0])], -1)
-    last = np.stack([cells[:, 1], np.full(len(cells), y[1])], -1)
-    if (facing < 0) != (y[0] > y[1]):
-        first, last = last, first
-    flat = np.stack([first, last, last, first], 1)
-    z = np.broadcast_to(np.array([0.0, 0.0, height, height]), flat.shape[:2])
-    quads = np.concatenate([flat, z[..., None]], -1)
-    extent = np.stack([np.linalg.norm(last - first, axis=1), np.full(len(cells), height)], -1)
-    mesh.add(street.world(quads)[:, None], extent[:, None], surface[np.zeros(len(cells), int)])
+    """Add vertical faces from the road up to ``height``.
+
+    Args:
+        mesh: receives the faces.
+        street: the street.
+        ends: (n, 2) s of the faces' left and right ends as seen from outside.
+        y: lateral positions of the left and the right end.
+        height: metres.
+        surface: of all faces.
+    """
+    s = ends[:, [0, 1, 1, 0]]
+    across = np.broadcast_to(np.array(y)[[0, 1, 1, 0]], s.shape)
+    up = np.broadcast_to(np.array([0.0, 0.0, height, height]), s.shape)
+    width = np.hypot(ends[:, 1] - ends[:, 0], y[1] - y[0])
+    extent = np.stack([width, np.full_like(width, height)], -1)
+    quads = street.world(np.stack([s, across, up], -1))
+    mesh.add(quads[:, None], extent[:, None], surface[np.zeros(len(ends), int)])
 
 
 def _road_surface(rng: np.random.Generator) -> Surfaces:

@@ -76,8 +76,8 @@ class TextureLibrary:
         bits = SIZE_BITS - level
         column = (np.floor(u * SIZE).astype(np.int32) & (SIZE - 1)) >> level
         row = (np.floor(v * SIZE).astype(np.int32) & (SIZE - 1)) >> level
-        index = self.offsets[level] + (((texture << bits) + row) << bits) + column
-        both = self.texels[index].astype(np.float32)
+        index = self.offsets.take(level) + (((texture << bits) + row) << bits) + column
+        both = self.texels.take(index, axis=0).astype(np.float32)
         low, high = GRAIN_RANGE
         return both[:, 0] * np.float32(1 / 255), both[:, 1] * np.float32((high - low) / 255) + low
 
@@ -104,9 +104,10 @@ def build_library(rng: np.random.Generator) -> TextureLibrary:
     full = np.stack([np.stack(painters[k](rng), -1) for k in Kind for _ in range(VARIANTS)])
     low, high = GRAIN_RANGE
     full[..., 1] = (full[..., 1] - low) / (high - low)
-    levels, offsets = [], []
+    levels: list[NDArray[np.uint8]] = []
+    offsets: list[int] = []
     while True:
-        offsets.append(sum(len(level) for level in levels))
+        offsets.append(sum(map(len, levels)))
         levels.append((full.clip(0, 1) * 255).round().astype(np.uint8).reshape(-1, 2))
         if full.shape[1] == 1:
             return TextureLibrary(np.concatenate(levels), np.array(offsets, np.int32))
@@ -211,7 +212,8 @@ def _sign(rng: np.random.Generator) -> tuple[Image, Image]:
     _rectangle(mask, 0.08, 0.08, 0.84, 0.84, 1.0 - mask[0, 0])
     for _ in range(int(rng.integers(2, 7))):
         x, y = rng.uniform(0.1, 0.7, 2)
-        _rectangle(mask, x, y, *rng.uniform(0.04, 0.3, 2), float(rng.integers(2)))
+        width, height = rng.uniform(0.04, 0.3, 2)
+        _rectangle(mask, x, y, width, height, float(rng.integers(2)))
     return mask, np.ones((SIZE, SIZE), np.float32)
 
 
@@ -226,7 +228,8 @@ def _patches(rng: np.random.Generator) -> tuple[Image, Image]:
     mask, grain = np.zeros((SIZE, SIZE), np.float32), _grain(rng, 0.08, 0.06)
     for _ in range(int(rng.integers(2, 6))):
         x, y = rng.uniform(-0.1, 0.8, 2)
-        _rectangle(grain, x, y, *rng.uniform(0.05, 0.5, 2), rng.uniform(0.6, 1.4))
+        width, height = rng.uniform(0.05, 0.5, 2)
+        _rectangle(grain, x, y, width, height, rng.uniform(0.6, 1.4))
     crack = np.abs(noise(rng, 14.0)) < rng.uniform(0.01, 0.05)
     return np.maximum(mask, crack * np.float32(0.8)), grain
 

@@ -11,7 +11,7 @@ from uncal.simulation.street import Street
 
 
 def distance_along(settings: SimulationSettings, frame: int) -> float:
-    """s of the vehicle at a frame, metres from the first; constant speed."""
+    """S of the vehicle at a frame, metres from the first; constant speed."""
     return frame * settings.vehicle.speed_mps * settings.vehicle.frame_interval_s
 
 

@@ -3,23 +3,29 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import multiprocessing
 import os
 import shutil
+import signal
 import threading
+import time
 from collections.abc import Iterator
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 
-from tqdm import tqdm
+from tqdm import tqdm  # type: ignore[import-untyped]
 
 from uncal.errors import ConfigurationError, RecordingError
 from uncal.simulation.drive import Piece, write_frames
 from uncal.simulation.layout import drive_name, is_complete, prepare_date_folder
+from uncal.simulation.locking import locked
 from uncal.simulation.manifest import Manifest, read_manifest
 from uncal.simulation.rig import rig_date
 from uncal.simulation.settings import SimulationSettings
+
+log = logging.getLogger(__name__)
 
 PIECE_FRAMES = 50
 """Frames of a drive that one task simulates; fixed, so that results never depend on the machine."""
@@ -50,6 +56,16 @@ def simulate(
             worker died.
         ConfigurationError: ``workers`` is not positive.
     """
+    read_manifest(root)
+    root.mkdir(parents=True, exist_ok=True)
+    with locked(root):
+        write_missing(settings, root, workers, progress)
+
+
+def write_missing(
+    settings: SimulationSettings, root: Path, workers: int | None, progress: bool
+) -> None:
+    """What :func:`simulate` does, for a caller that holds the lock of ``root`` already."""
     if workers is not None and workers < 1:
         raise ConfigurationError(f"workers is {workers}; it must be at least 1, or null for all")
     present = read_manifest(root)
@@ -58,7 +74,6 @@ def simulate(
             f"{root} holds a simulation with other settings ({present.fingerprint}, wanted "
             f"{settings.fingerprint()}); name another folder, or use ensure_simulated to replace it"
         )
-    root.mkdir(parents=True, exist_ok=True)
     Manifest.of(settings, finished=False).write(root)
     for leftover in root.glob(f"{PARTIAL_PREFIX}*"):
         shutil.rmtree(leftover)
@@ -68,7 +83,11 @@ def simulate(
         if not is_complete(settings, root / rig_date(index), rig_date(index))
     ]
     if todo:
+        begin = time.perf_counter()
         _simulate_rigs(settings, root, todo, workers or available_cores(), progress)
+        seconds = time.perf_counter() - begin
+        frames = len(todo) * settings.drives_per_rig * settings.frames_per_drive
+        log.info("simulated %d frames in %.1f s (%.1f/s)", frames, seconds, frames / seconds)
     Manifest.of(settings, finished=True).write(root)
 
 
@@ -143,7 +162,7 @@ def _process_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
     os.environ.update(dict.fromkeys(THREAD_LIMITS, "1"))
     try:
         context = multiprocessing.get_context("spawn")
-        with ProcessPoolExecutor(workers, context, initializer=_leave_with_parent) as pool:
+        with ProcessPoolExecutor(workers, context, initializer=_start_worker) as pool:
             yield pool
     finally:
         for name, value in before.items():
@@ -153,8 +172,11 @@ def _process_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
                 os.environ[name] = value
 
 
-def _leave_with_parent() -> None:
-    """End this worker when its parent dies; a killed parent would leave it waiting for ever."""
+def _start_worker() -> None:
+    """Make this worker end, without a traceback, on Ctrl-C and when its parent dies.
+
+    Left alone, the workers of a killed parent would wait for their next task for ever.
+    """
     parent = multiprocessing.parent_process()
 
     def watch() -> None:
@@ -162,4 +184,5 @@ def _leave_with_parent() -> None:
             parent.join()
         os._exit(1)
 
+    signal.signal(signal.SIGINT, lambda *_: os._exit(1))
     threading.Thread(target=watch, daemon=True).start()

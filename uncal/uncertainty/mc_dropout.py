@@ -118,11 +118,13 @@ class MCDropout:
             samples = self._sample(args, kwargs, len(first))
         std, mean = torch.std_mean(samples, dim=0, correction=0)
         # Rows of one batch may differ in the last bits without any dropout: rounding is no spread.
-        if std.max() <= 4 * torch.finfo(torch.float32).eps * samples.abs().max():
+        rounding = 4 * torch.finfo(torch.float32).eps * samples.abs().amax(0)
+        if (std <= rounding).all():
             raise UncertaintyError(
                 f"σ = 0 for all {mean.numel()} outputs over {self.passes} passes although "
-                f"{type(self.network).__name__} has active dropout layers: they do not reach the "
-                "output, or something (an output clamp, a fused kernel) removes their effect."
+                f"{type(self.network).__name__} has active dropout layers: their effect does not "
+                "reach the output (a layer off the path, an output clamp, or features that vanish "
+                "because the network is not trained yet)."
             )
         return Prediction(mean, std, self.passes, samples if self.keep_samples else None)
 
@@ -130,10 +132,10 @@ class MCDropout:
         """(N, B, D) single passes, in at most ``chunk`` rows at a time."""
         limit = self.chunk or self.passes * batch
         rows = min(batch, limit)
-        group = max(1, limit // rows)
         columns = []
         for start in range(0, batch, rows):
             part = slice(start, min(start + rows, batch))
+            group = limit // (part.stop - start)
             runs = [
                 self._run(args, kwargs, batch, part, min(group, self.passes - done))
                 for done in range(0, self.passes, group)

@@ -1,0 +1,49 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import cast
+
+import pytest
+from omegaconf import OmegaConf
+
+from uncal.configuration import CONFIG_DIR
+from uncal.simulation.settings import SimulationSettings
+from uncal.simulation.writer import simulate
+
+MakeSettings = Callable[..., SimulationSettings]
+
+TINY = {
+    "n_rigs": 2,
+    "frames_per_drive": 3,
+    "camera": {"height": 24, "width": 64, "focal_px": 70.0},
+    "lidar": {"beams": 16, "azimuth_step_deg": 1.0},
+    "scene": {"view_m": 60.0},
+}
+
+
+@pytest.fixture(scope="session")
+def make_settings() -> MakeSettings:
+    """Settings of street.yaml made tiny; keyword arguments override groups or keys."""
+
+    def make(**overrides: object) -> SimulationSettings:
+        street = OmegaConf.load(Path(CONFIG_DIR) / "simulation" / "street.yaml")
+        merged = OmegaConf.to_container(OmegaConf.merge(street, TINY, overrides))
+        return SimulationSettings.from_mapping(cast(dict[str, object], merged))
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def tiny_settings(make_settings: MakeSettings) -> SimulationSettings:
+    return make_settings()
+
+
+@pytest.fixture(scope="session")
+def tiny_simulation(
+    tiny_settings: SimulationSettings, tmp_path_factory: pytest.TempPathFactory
+) -> Path:
+    """A finished simulation, written by two processes; tests must not change it."""
+    root = tmp_path_factory.mktemp("simulated") / "root"
+    simulate(tiny_settings, root, workers=2, progress=False)
+    return root
