@@ -1,4 +1,4 @@
-"""The errors a user can act on: each message names the file or key, what was expected, the remedy."""
+"""Errors a user can act on: each names the file or key, what was expected and the remedy."""
 
 from __future__ import annotations
 

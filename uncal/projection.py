@@ -47,7 +47,7 @@ def pixel_coordinates(points_cam: Tensor, K: Tensor) -> Tensor:
 
 
 def project(points: Tensor, T_cam_lidar: Tensor, K: Tensor, size: tuple[int, int]) -> Projection:
-    """Project sweeps with a z-buffer: each pixel keeps the depth and intensity of its nearest point.
+    """Project sweeps with a z-buffer: each pixel keeps depth and intensity of its nearest point.
 
     The nearest point has the largest inverse depth, so one atomic maximum per point into a zeroed
     image is the whole z-buffer, and its result does not depend on the order of the points.

@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from uncal.simulation.camera import Camera
 from uncal.simulation.meshes import Mesh, Surfaces
@@ -47,7 +48,7 @@ def camera_settings(make_settings: MakeSettings) -> CameraSettings:
     return make_settings(camera=plain).camera
 
 
-def coverage(settings: CameraSettings, scene: Scene) -> np.ndarray[tuple[int, ...], np.dtype]:  # type: ignore[type-arg]
+def coverage(settings: CameraSettings, scene: Scene) -> NDArray[np.float64]:
     """(H, W) share of each pixel that the wall covers, undoing gamma; 1 where it is brightest."""
     image = Camera(settings, K).photograph(scene, T_WORLD_CAM, np.random.default_rng(0))
     linear = (image[..., 0] / 255.0) ** 2.2
@@ -55,7 +56,7 @@ def coverage(settings: CameraSettings, scene: Scene) -> np.ndarray[tuple[int, ..
 
 
 def test_edges_fall_where_the_camera_matrix_says(camera_settings: CameraSettings) -> None:
-    # Edges projected to u = 20.5 and 40.5, v = 5.5 and 15.5: pixel borders, if integers are centres.
+    # Projected to u = 20.5 and 40.5, v = 5.5 and 15.5: pixel borders, if integers are centres.
     y_left, y_right = -(20.5 - 31) / 70 * 10, -(40.5 - 31) / 70 * 10
     z_top, z_bottom = -(5.5 - 11) / 70 * 10, -(15.5 - 11) / 70 * 10
     seen = coverage(camera_settings, wall(y_left, y_right, z_bottom, z_top))
@@ -75,7 +76,7 @@ def test_a_pixel_cut_in_half_is_half_as_bright(camera_settings: CameraSettings) 
 def test_exposure_noise_and_vignetting(make_settings: MakeSettings) -> None:
     scene = wall(50.0, -50.0, -50.0, 50.0)
 
-    def picture(**changes: float) -> np.ndarray[tuple[int, ...], np.dtype]:  # type: ignore[type-arg]
+    def picture(**changes: float) -> NDArray[np.uint8]:
         plain = {"noise": 0.0, "vignetting": 0.0, "haze_m": 1e6, "exposure": 1.0}
         settings = make_settings(camera=plain | changes).camera
         return Camera(settings, K).photograph(scene, T_WORLD_CAM, np.random.default_rng(0))

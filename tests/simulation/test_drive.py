@@ -24,7 +24,7 @@ def depth_agreement(
     points: NDArray[np.float32],
     T_cam_lidar: Matrix,
 ) -> float:
-    """Share of points, projected with ``T_cam_lidar``, that lie on what the true camera sees there."""
+    """Share of points that lie where the true camera sees them, projected with ``T_cam_lidar``."""
     in_camera = points[:, :3] @ T_cam_lidar[:3, :3].T + T_cam_lidar[:3, 3]
     in_camera = in_camera[in_camera[:, 2] > 1]
     pixels = in_camera @ rig.K.T

@@ -41,7 +41,7 @@ def scene() -> Scene:
         fit=np.zeros(2, bool),
     )
     corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], np.float64)
-    quads = np.stack([10 * corners, corners + [0, 0, 3]])[:, None]
+    quads = np.stack([10 * corners, corners + np.array([0, 0, 3])])[:, None]
     mesh = Mesh()
     mesh.add(quads, np.array([[[20.0, 20.0]], [[2.0, 2.0]]]), surface)
     return Scene(mesh, sky(), flat_texture(), (-100.0, 100.0))
@@ -71,7 +71,7 @@ def test_radiance_and_reflectance_by_hand(scene: Scene) -> None:
     grain = 0.5 + GRAIN / 255
     albedo = 0.5 + 0.2 * 0.5
     # A face towards the zenith and the sun receives the whole ambient light: 0.55 + 0.3 + 0.15.
-    lit = albedo * grain * (np.array([0.1, 0.2, 0.3]) + [1.0, 0.5, 0.25])
+    lit = albedo * grain * np.array([1.1, 0.7, 0.55])
     shaded = albedo * grain * np.array([0.1, 0.2, 0.3])
     np.testing.assert_allclose(radiance, np.stack([lit, shaded], 1), rtol=1e-5)
     expected = (0.2 + 0.2 * 0.5) * (0.5 + 0.5 * grain)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-
+from collections.abc import Sequence
 
 import lightning
 from lightning import LightningModule, Trainer
@@ -14,7 +14,7 @@ from uncal.geometry import DOF_NAMES, DOF_SCALE, DOF_UNITS
 from uncal.metrics.functional import interval_score, mpiw, picp
 from uncal.models.inference import predict_split
 from uncal.models.module import CalibrationModule
-
+from uncal.uncertainty.quantile import miscoverage
 
 log = logging.getLogger(__name__)
 
@@ -29,12 +29,10 @@ class UncertaintyCalibration(lightning.Callback):
 
     Args:
         levels: coverage levels to log.
-        progress: show a progress bar while the passes run.
     """
 
-    def __init__(self, levels: list[float], progress: bool) -> None:
+    def __init__(self, levels: Sequence[float]) -> None:
         self.levels = list(levels)
-        self.progress = progress
 
     def on_validation_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Fit, then log PICP, MPIW and IS of the validation split per DoF and level."""
@@ -42,13 +40,13 @@ class UncertaintyCalibration(lightning.Callback):
             return
         module, data = _ours(trainer, pl_module)
         self._fit(trainer, module, data)
-        validation = predict_split(trainer, module, data, "validation", self.progress)
+        validation = predict_split(trainer, module, data, "validation")
         for level in self.levels:
             intervals = module.calibrator.predict(validation.mean, validation.std, level)
             bounds = (intervals.lower, intervals.upper)
             coverage = picp(*bounds, validation.target)
             width = mpiw(*bounds)
-            score = interval_score(*bounds, validation.target, 1.0 - level)
+            score = interval_score(*bounds, validation.target, float(miscoverage(level)))
             for j, (name, unit) in enumerate(zip(DOF_NAMES, DOF_UNITS, strict=True)):
                 module.log_dict(
                     {
@@ -70,7 +68,7 @@ class UncertaintyCalibration(lightning.Callback):
     def _fit(
         self, trainer: Trainer, module: CalibrationModule, data: CalibrationDataModule
     ) -> None:
-        scores = predict_split(trainer, module, data, "uncertainty_calibration", self.progress)
+        scores = predict_split(trainer, module, data, "uncertainty_calibration")
         module.calibrator.fit(
             scores.mean, scores.std, scores.target, identity=module.engine.identity()
         )
@@ -82,7 +80,7 @@ def _ours(
     data = getattr(trainer, "datamodule", None)
     if not isinstance(pl_module, CalibrationModule) or not isinstance(data, CalibrationDataModule):
         raise ConfigurationError(
-            "UncertaintyCalibration needs a CalibrationModule trained with a CalibrationDataModule, "
+            "UncertaintyCalibration needs a CalibrationModule and a CalibrationDataModule, "
             f"got {type(pl_module).__name__} and {type(data).__name__}"
         )
     return pl_module, data

@@ -90,6 +90,7 @@ class CalibrationDataModule(lightning.LightningDataModule):
         self.inputs = inputs
         self.augmentation = augmentation
         self.seed = seed
+        self.split_by = split.by
         if not recording.frame_ids:
             raise RecordingError("the recording holds no usable frame: see the skipped ones above")
         self.splits: Mapping[str, list[FrameId]] = split_frames(
@@ -124,7 +125,7 @@ class CalibrationDataModule(lightning.LightningDataModule):
             dataset,  # type: ignore[arg-type]  # collate turns samples into a Batch
             batch_size=size,
             shuffle=training,
-            # A last batch of a few samples would disturb BatchNorm; it is kept if it is all there is.
+            # A small last batch would disturb BatchNorm; it is kept if it is all there is.
             drop_last=training and len(dataset) > size,
             num_workers=self.loader.workers,
             persistent_workers=self.loader.workers > 0,

@@ -6,7 +6,7 @@ from typing import NamedTuple, cast
 
 import torch
 from torch import Tensor, nn
-from torch.nn import functional as F  # noqa: N812
+from torch.nn import functional as F
 
 from uncal.decalibration import correct
 from uncal.geometry import invert, transform_points
@@ -73,7 +73,9 @@ def displacement_jacobian(points_cam: Tensor, K: Tensor, T_init: Tensor) -> Tens
     points = transform_points(invert(T_init), points_cam)
     by_translation = -(pixel_by_point @ T_init[:, None, :3, :3])
     # a · (ω × p) = ω · (p × a)
-    by_rotation = torch.linalg.cross(points[:, :, None, :].expand_as(by_translation), by_translation)
+    by_rotation = torch.linalg.cross(
+        points[:, :, None, :].expand_as(by_translation), by_translation
+    )
     return torch.cat([by_translation, by_rotation], -1)
 
 

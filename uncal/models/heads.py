@@ -7,7 +7,7 @@ from typing import cast
 
 import torch
 from torch import Tensor, nn
-from torch.nn import functional as F  # noqa: N812
+from torch.nn import functional as F
 
 from uncal.models.dropout import FastDropout
 
@@ -16,15 +16,15 @@ class PoseHead(nn.Module):
     """The paper-like head: global average pool, then one MLP each for translation and rotation.
 
     Args:
-        in_channels: of the coarsest map.
+        in_channels: of the maps, fine to coarse; the coarsest is pooled.
         hidden: widths of the two hidden layers.
         dropout: rate before each linear layer.
     """
 
-    def __init__(self, in_channels: int, hidden: Sequence[int], dropout: float) -> None:
+    def __init__(self, in_channels: Sequence[int], hidden: Sequence[int], dropout: float) -> None:
         super().__init__()
-        self.translation = self._branch(in_channels, hidden, dropout)
-        self.rotation = self._branch(in_channels, hidden, dropout)
+        self.translation = self._branch(in_channels[-1], hidden, dropout)
+        self.rotation = self._branch(in_channels[-1], hidden, dropout)
 
     @staticmethod
     def _branch(in_channels: int, hidden: Sequence[int], dropout: float) -> nn.Sequential:

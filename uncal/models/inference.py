@@ -15,7 +15,6 @@ def predict_split(
     module: CalibrationModule,
     data: CalibrationDataModule,
     split: str,
-    progress: bool,
 ) -> SplitPrediction:
     """Run the stochastic passes over a split.
 
@@ -24,7 +23,6 @@ def predict_split(
         module: the network with its MC-dropout engine.
         data: gives the split's batches.
         split: its name.
-        progress: show a progress bar.
 
     Returns:
         Predictions of all readable frames.
@@ -34,7 +32,7 @@ def predict_split(
     """
     parts: list[SplitPrediction] = []
     loader = data.loader_of(split)
-    bar = tqdm(loader, desc=f"MC dropout, {split}", leave=False, disable=not progress)
+    bar = tqdm(loader, desc=f"MC dropout, {split}", leave=False, mininterval=0.5)
     with torch.inference_mode():
         for number, batch in enumerate(bar):
             moved = trainer.strategy.batch_to_device(batch, module.device)
@@ -42,9 +40,7 @@ def predict_split(
             if inputs is None:
                 continue
             with trainer.precision_plugin.forward_context():
-                prediction = module.engine(
-                    *inputs[:4], seed=pass_seed(data.seed, split, number)
-                )
+                prediction = module.engine(*inputs[:4], seed=pass_seed(data.seed, split, number))
             parts.append(
                 SplitPrediction(prediction.mean.cpu(), prediction.std.cpu(), inputs.target.cpu())
             )

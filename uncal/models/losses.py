@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import torch
 from torch import Tensor
-from torch.nn import functional as F  # noqa: N812
+from torch.nn import functional as F
 
 
 def pose_loss(estimate: Tensor, target: Tensor, bounds: Tensor) -> Tensor:

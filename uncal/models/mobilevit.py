@@ -1,18 +1,21 @@
-"""MobileViT (Mehta and Rastegari, ICLR 2022) from `transformers`, as a pyramid of features."""
+"""Backbones of MobileViT (Mehta and Rastegari, ICLR 2022) blocks, taken from `transformers`."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import cast
+from typing import Any, cast
 
 from torch import Tensor, nn
 from transformers import MobileViTConfig, MobileViTModel
+from transformers.models.mobilevit.modeling_mobilevit import MobileViTLayer
 
+from uncal.errors import ConfigurationError
 from uncal.models.dropout import use_fast_dropout
+from uncal.models.matching import MatchingStem
 
 
-class MobileViTPyramid(nn.Module):
-    """The feature maps of MobileViT's five stages, at strides 2, 4, 8, 16 and the output stride.
+class MobileViT(nn.Module):
+    """The published MobileViT: all channels fused early, five stages.
 
     Dropout of rate ``dropout`` stands in every transformer layer (after attention and after the
     MLP), which is what the paper calls the backbone layers.
@@ -36,10 +39,10 @@ class MobileViTPyramid(nn.Module):
         expand_ratio: float,
         output_stride: int,
         dropout: float,
-        pretrained: str | None = None,
+        pretrained: str | None,
     ) -> None:
         super().__init__()
-        sizes = {
+        sizes: dict[str, Any] = {
             "num_channels": in_channels,
             "hidden_sizes": list(hidden_sizes),
             "neck_hidden_sizes": list(neck_hidden_sizes),
@@ -70,4 +73,70 @@ class MobileViTPyramid(nn.Module):
         for stage in self.body.encoder.layer:
             x = cast(Tensor, stage(x))
             maps.append(x)
+        return maps
+
+
+class MatchingMobileViT(nn.Module):
+    """A :class:`~uncal.models.matching.MatchingStem` at stride 4, then MobileViT stages.
+
+    Args:
+        in_channels: C of the input, the image's first.
+        image_channels: how many of them are the image's.
+        width: channels of each branch of the stem.
+        descriptor: length of the correlated descriptors.
+        radius: of the search, cells of stride 4.
+        channels: of the fused map and of each MobileViT stage after it.
+        hidden_sizes: widths of the transformers in those stages.
+        layers: transformer layers in each of those stages.
+        dropout: rate in the transformer layers.
+    """
+
+    def __init__(
+        self,
+        in_channels: int,
+        image_channels: int,
+        width: int,
+        descriptor: int,
+        radius: int,
+        channels: Sequence[int],
+        hidden_sizes: Sequence[int],
+        layers: Sequence[int],
+        dropout: float,
+    ) -> None:
+        super().__init__()
+        if not len(channels) - 1 == len(hidden_sizes) == len(layers):
+            raise ConfigurationError(
+                f"model.backbone: {len(channels)} channels, {len(hidden_sizes)} hidden_sizes, "
+                f"{len(layers)} layers; expected one channel more than stages"
+            )
+        if not 0 < image_channels < in_channels:
+            raise ConfigurationError(
+                f"model.backbone.image_channels={image_channels} of {in_channels} input channels: "
+                "matching needs both an image and LiDAR channels"
+            )
+        self.stem = MatchingStem(
+            image_channels, in_channels - image_channels, width, descriptor, radius, channels[0]
+        )
+        config = MobileViTConfig(hidden_dropout_prob=dropout)
+        self.stages = nn.ModuleList(
+            MobileViTLayer(config, before, after, stride=2, hidden_size=hidden, num_stages=depth)
+            for before, after, hidden, depth in zip(
+                channels[:-1], channels[1:], hidden_sizes, layers, strict=True
+            )
+        )
+        use_fast_dropout(self.stages)
+        self.channels: tuple[int, ...] = tuple(channels)
+
+    def forward(self, x: Tensor) -> list[Tensor]:
+        """Features from fine to coarse.
+
+        Args:
+            x: (B, C, H, W); H and W best multiples of 32.
+
+        Returns:
+            Maps (B, channels[i], H/s, W/s), s = 4, 8, 16 and so on.
+        """
+        maps = [self.stem(x)]
+        for stage in self.stages:
+            maps.append(cast(Tensor, stage(maps[-1])))
         return maps

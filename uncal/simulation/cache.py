@@ -8,7 +8,7 @@ from pathlib import Path
 
 from uncal.simulation.layout import is_complete
 from uncal.simulation.locking import locked
-from uncal.simulation.manifest import MANIFEST_NAME, read_manifest
+from uncal.simulation.manifest import Manifest, read_manifest
 from uncal.simulation.rig import rig_date
 from uncal.simulation.settings import SimulationSettings
 from uncal.simulation.writer import PARTIAL_PREFIX, write_missing
@@ -53,6 +53,8 @@ def ensure_simulated(
                 settings.fingerprint(),
             )
             _remove(root, present.dates)
+            # Only now: a removal that is cut short must still find the old list of folders.
+            Manifest.of(settings, finished=False).write(root)
             present = None
         dates = [rig_date(index) for index in range(settings.n_rigs)]
         missing = [date for date in dates if not is_complete(settings, root / date, date)]
@@ -71,8 +73,7 @@ def ensure_simulated(
 
 
 def _remove(root: Path, dates: list[str]) -> None:
-    """Remove a simulation: its own folders and manifest, nothing else."""
+    """Remove a simulation's own folders, nothing else."""
     for folder in [*(root / date for date in dates), *root.glob(f"{PARTIAL_PREFIX}*")]:
         if folder.is_dir():
             shutil.rmtree(folder)
-    (root / MANIFEST_NAME).unlink()

@@ -10,6 +10,7 @@ from uncal.simulation.palette import LUMINANCE
 from uncal.simulation.rigid import Matrix
 from uncal.simulation.scene import Hits, Scene
 from uncal.simulation.settings import CameraSettings
+from uncal.simulation.visibility import visible
 
 MEAN_LUMINANCE = 0.3
 """What the automatic exposure brings the picture's mean to, linear, full scale = 1."""
@@ -17,9 +18,6 @@ MEAN_LUMINANCE = 0.3
 GAMMA = 2.2
 _GAMMA_CURVE = (255 * np.linspace(0, 1, 1 << 14) ** (1 / GAMMA) + 0.5).astype(np.uint8)
 """8-bit value of linear light; a table, because a power per channel is slow."""
-
-BATCH_RAYS = 16384
-"""Rays traced and shaded at a time: their arrays stay in the processor's cache."""
 
 
 class Camera:
@@ -40,13 +38,14 @@ class Camera:
         n = settings.supersampling
         step = (np.arange(n) + 0.5) / n - 0.5
         rows, columns = np.arange(settings.height), np.arange(settings.width)
-        dv, du, v, u = np.meshgrid(step, step, rows, columns, indexing="ij")
-        x, y = (u + du - K[0, 2]) / K[0, 0], (v + dv - K[1, 2]) / K[1, 1]
-        # z = 1, so that a hit's t is its depth. One full picture of rays per sample of a pixel.
-        rays = np.stack([x, y, np.ones_like(x)], -1).astype(np.float32)
-        self._rays = rays.reshape(n * n, -1, 3)
+        u = (columns[:, None] + step).ravel()
+        v = (rows[:, None] + step).ravel()
+        x, y = np.meshgrid((u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1])
+        # z = 1, so that a hit's t is its depth.
+        self._rays = np.stack([x, y, np.ones_like(x)], -1).astype(np.float32)
         self._sample_width = np.float32(1 / (K[0, 0] * n))
-        radius2 = (x**2 + y**2).reshape(n * n, -1).mean(0)
+        centre = n // 2
+        radius2 = (x**2 + y**2)[centre::n, centre::n].ravel()
         fall = 1 - settings.vignetting * radius2 / radius2.max()
         self._vignette = fall.astype(np.float32)
 
@@ -67,17 +66,17 @@ class Camera:
 
     def _expose(self, scene: Scene, T_world_cam: Matrix) -> Array:
         """Mean radiance of each pixel, (3, H·W) linear RGB."""
-        rotation = T_world_cam[:3, :3].T.astype(np.float32)
+        n = self.settings.supersampling
         position = T_world_cam[:3, 3].astype(np.float32)
-        light = np.zeros((3, self._rays.shape[1]), np.float32)
-        for first in range(0, light.shape[1], BATCH_RAYS):
-            pixels = slice(first, first + BATCH_RAYS)
-            exposure = _Exposure(scene, position, self._sample_width, self.settings)
-            for rays in self._rays[:, pixels]:
-                exposure.add(rays @ rotation)
-            light[:, pixels] = exposure.light
-        light /= len(self._rays)
-        return light
+        directions = self._rays @ T_world_cam[:3, :3].T.astype(np.float32)
+        hits = visible(scene, position, directions)
+        exposure = _Exposure(scene, position, self._sample_width, self.settings)
+        for row in range(n):
+            for column in range(n):
+                each = (slice(row, None, n), slice(column, None, n))
+                exposure.add(directions[each].reshape(-1, 3), hits[each])
+        exposure.light /= n * n
+        return exposure.light
 
     def _develop(self, light: Array, rng: np.random.Generator) -> NDArray[np.uint8]:
         """Exposure, vignetting, noise, gamma, 8 bits; (3, H·W) linear → (H, W, 3)."""
@@ -94,51 +93,48 @@ class Camera:
 
 
 class _Exposure:
-    """Light gathered by some pixels, one ray per pixel at a time.
+    """Light gathered by the pixels, one sample per pixel at a time.
 
-    Whether the sun shines on a point is asked again only where a pixel's ray meets another triangle
-    than its ray before: neighbouring rays on one triangle nearly always share the answer.
+    Whether the sun shines on a point is asked again only where a pixel's sample lies on another
+    triangle than the one before: neighbours on one triangle nearly always share the answer.
     """
 
     def __init__(
         self, scene: Scene, position: Array, sample_width: np.float32, settings: CameraSettings
     ) -> None:
         """Open the shutter at a (3,) world position."""
-        self.light: Array = np.zeros((3, 0), np.float32)
+        n_pixels = settings.height * settings.width
+        self.light: Array = np.zeros((3, n_pixels), np.float32)
         self._scene = scene
         self._position = position
         self._sample_width = sample_width
         self._settings = settings
         self._shadows = settings.shadows and bool(scene.sky.sun.any())
-        self._triangle: NDArray[np.int32] | None = None
-        self._in_sun: Array = np.ones(0, np.float32)
+        self._triangle: NDArray[np.int32] = np.full(n_pixels, -1, np.int32)
+        self._in_sun: Array = np.ones(n_pixels, np.float32)
 
-    def add(self, directions: Array) -> None:
-        """Trace one ray per pixel, (N, 3) world directions, and add what it brings."""
+    def add(self, directions: Array, hits: Hits) -> None:
+        """Add the light of one sample per pixel.
+
+        Args:
+            directions: (N, 3) world directions.
+            hits: what they met.
+        """
         scene = self._scene
-        origins = np.empty_like(directions)
-        origins[:] = self._position
-        hits = scene.cast(origins, directions)
         in_sun = self._sunlight(hits, directions)
-        where = np.flatnonzero(hits.triangle >= 0)
+        where, empty = np.flatnonzero(hits.triangle >= 0), np.flatnonzero(hits.triangle < 0)
         found, rays = hits.take(where), directions.take(where, axis=0)
         slant = np.sqrt(np.maximum(scene.slant(found, rays), np.float32(0.02)))
         footprint = found.t * self._sample_width / slant
         seen = scene.radiance(found, footprint, in_sun.take(where))
         clear = np.exp(found.t * np.float32(-1 / self._settings.haze_m))
-        empty = np.flatnonzero(hits.triangle < 0)
         sky = scene.sky.radiance(scene.textures, directions.take(empty, axis=0))
-        if not self.light.size:
-            self.light = np.zeros((3, len(directions)), np.float32)
         for channel, haze in enumerate(scene.sky.horizon):
             self.light[channel, where] += haze + (seen[channel] - haze) * clear
             self.light[channel, empty] += sky[channel]
 
     def _sunlight(self, hits: Hits, directions: Array) -> Array:
         """Share of the sun that reaches each hit, (N,)."""
-        if self._triangle is None:
-            self._triangle = np.full(len(directions), -1, np.int32)
-            self._in_sun = np.ones(len(directions), np.float32)
         if self._shadows:
             new = np.flatnonzero((hits.triangle >= 0) & (hits.triangle != self._triangle))
             points = directions.take(new, axis=0) * hits.t.take(new)[:, None] + self._position

@@ -33,6 +33,11 @@ class Hits:
     u: Array
     v: Array
 
+    def __getitem__(self, block: tuple[slice, slice]) -> Hits:
+        """The hits in a block of a grid of hits, as a list."""
+        parts = (values[block].ravel() for values in (self.t, self.u, self.v))
+        return Hits(self.triangle[block].ravel(), *parts)
+
     def take(self, index: NDArray[np.int64]) -> Hits:
         """Some of the hits."""
         return Hits(

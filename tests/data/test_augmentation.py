@@ -1,0 +1,53 @@
+import torch
+
+from uncal.data.augmentation import Augmentation, mirror
+from uncal.data.dataset import Batch
+from uncal.geometry import pose_to_matrix
+from uncal.projection import project
+from uncal.recordings.frame import FrameId
+
+CAMERA_FROM_LIDAR = torch.tensor([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
+
+
+def batch(n: int) -> Batch:
+    torch.manual_seed(0)
+    xyz = torch.rand(n, 4000, 3) * torch.tensor([30.0, 30.0, 8.0]) - torch.tensor([0.0, 15.0, 4.0])
+    return Batch(
+        frames=[FrameId("rig", "drive", i) for i in range(n)],
+        image=torch.randint(0, 256, (n, 3, 40, 64), dtype=torch.uint8),
+        points=torch.cat([xyz, torch.rand(n, 4000, 1)], -1),
+        K=torch.tensor([[60.0, 0.0, 30.2], [0.0, 58.0, 19.6], [0.0, 0.0, 1.0]]).repeat(n, 1, 1),
+        T_cam_lidar=CAMERA_FROM_LIDAR @ pose_to_matrix(0.1 * torch.randn(n, 6)),
+        decalibration=None,
+        skipped=[],
+    )
+
+
+def test_the_mirrored_rig_sees_the_mirrored_scene() -> None:
+    plain = batch(3)
+    flipped = mirror(plain, torch.tensor([True, False, True]))
+    before = project(plain.points, plain.T_cam_lidar, plain.K, (40, 64))
+    after = project(flipped.points, flipped.T_cam_lidar, flipped.K, (40, 64))
+    for b, is_flipped in enumerate([True, False, True]):
+        expected = before.inverse_depth[b].flip(-1) if is_flipped else before.inverse_depth[b]
+        image = plain.image[b].flip(-1) if is_flipped else plain.image[b]
+        assert torch.equal(flipped.image[b], image)
+        # Points on a pixel's border round to the other side when mirrored.
+        assert torch.isclose(after.inverse_depth[b], expected).float().mean() > 0.998
+    torch.testing.assert_close(
+        torch.linalg.det(flipped.T_cam_lidar[:, :3, :3]), torch.ones(3), atol=1e-5, rtol=0.0
+    )
+
+
+def test_brightness_and_contrast_leave_the_geometry_alone() -> None:
+    plain = batch(4)
+    changed = Augmentation(mirror=0.0, brightness=0.3, contrast=0.3)(plain)
+    assert not torch.equal(changed.image, plain.image)
+    assert changed.image.dtype == torch.uint8
+    assert torch.equal(changed.points, plain.points)
+    assert torch.equal(changed.T_cam_lidar, plain.T_cam_lidar)
+
+
+def test_no_augmentation_is_no_change() -> None:
+    plain = batch(2)
+    assert Augmentation(mirror=0.0, brightness=0.0, contrast=0.0)(plain) is plain

@@ -1,0 +1,127 @@
+from pathlib import Path
+
+import pytest
+import torch
+from torch import Tensor
+
+from uncal.data.augmentation import Augmentation
+from uncal.data.datamodule import CalibrationDataModule, LoaderSettings, SplitSettings
+from uncal.data.dataset import Sample, SkippedFrame, collate
+from uncal.data.network_input import InputSettings, NetworkInput
+from uncal.data.splits import SPLITS
+from uncal.decalibration import DecalibrationRange
+from uncal.errors import ConfigurationError
+from uncal.projection import project
+from uncal.recordings.kitti import KittiRaw
+
+INPUTS = InputSettings(["rgb", "inverse_depth", "intensity"], 0.45, 0.225, 10.0, 2.0)
+
+
+def data_module(root: Path, **loader: int | bool) -> CalibrationDataModule:
+    settings = {"batch_size": 2, "eval_batch_size": 2, "workers": 0, "cache": False} | loader
+    return CalibrationDataModule(
+        recording=KittiRaw(root),
+        image_size=(64, 96),
+        decalibration=DecalibrationRange(1.0, 10.0),
+        split=SplitSettings("frame", (0.4, 0.2, 0.2, 0.2), seed=0),
+        loader=LoaderSettings(**settings),  # type: ignore[arg-type]
+        inputs=INPUTS,
+        augmentation=Augmentation(mirror=0.5, brightness=0.1, contrast=0.1),
+        seed=5,
+    )
+
+
+def inputs_of(data: CalibrationDataModule, split: str) -> list[NetworkInput]:
+    made = [data.on_after_batch_transfer(batch, 0) for batch in data.loader_of(split)]
+    return [inputs for inputs in made if inputs is not None]
+
+
+def targets(data: CalibrationDataModule, split: str) -> Tensor:
+    return torch.cat([inputs.target for inputs in inputs_of(data, split)])
+
+
+def test_splits_are_disjoint_and_total(kitti_raw_root: Path) -> None:
+    data = data_module(kitti_raw_root)
+    frames = [frame for name in SPLITS for frame in data.splits[name]]
+    assert len(frames) == len(set(frames)) == len(data.recording.frame_ids)
+
+
+def test_evaluation_draws_repeat_and_training_draws_do_not(kitti_raw_root: Path) -> None:
+    data, again = data_module(kitti_raw_root), data_module(kitti_raw_root)
+    for split in SPLITS[1:]:
+        assert torch.equal(targets(data, split), targets(again, split))
+    assert not torch.equal(targets(data, "train"), targets(data, "train"))
+
+
+def test_the_input_is_the_decalibrated_projection(kitti_raw_root: Path) -> None:
+    data = data_module(kitti_raw_root)
+    batch = next(iter(data.loader_of("test")))
+    inputs = data.on_after_batch_transfer(batch, 0)
+    assert inputs is not None
+    assert inputs.x.shape == (len(batch.frames), INPUTS.n_channels, 64, 96)
+    seen = project(batch.points, inputs.T_init, batch.K, (64, 96))
+    assert torch.equal(inputs.inverse_depth, seen.inverse_depth)
+    assert torch.equal(inputs.x[:, 3:4], seen.inverse_depth * 10.0)
+    assert torch.equal(inputs.x[:, 4:], seen.intensity * 2.0)
+
+
+def test_culling_leaves_the_projection_of_every_decalibration_unchanged(
+    kitti_raw_root: Path,
+) -> None:
+    data = data_module(kitti_raw_root)
+    bounds = data.decalibration.bounds
+    for split in SPLITS:
+        dataset = data.datasets[split]
+        for i, frame_id in enumerate(dataset.frame_ids):
+            sample = dataset[i]
+            assert isinstance(sample, Sample)
+            whole = torch.from_numpy(data.recording.load(frame_id).points)[None]
+            assert sample.points.shape[0] < whole.shape[1]
+            for corner in torch.cartesian_prod(*[torch.tensor([-1.0, 1.0])] * 6)[::5]:
+                from uncal.decalibration import decalibrate
+
+                T = decalibrate(sample.T_cam_lidar, corner * bounds)[None]
+                culled = project(sample.points[None], T, sample.K[None], (64, 96))
+                full = project(whole, T, sample.K[None], (64, 96))
+                assert torch.equal(culled.inverse_depth, full.inverse_depth)
+                assert torch.equal(culled.intensity, full.intensity)
+
+
+def test_a_truncated_scan_is_skipped_counted_and_named(kitti_raw_root: Path) -> None:
+    data = data_module(kitti_raw_root)
+    victim = data.splits["test"][0]
+    scan = next(
+        path
+        for path in kitti_raw_root.rglob(f"{victim.drive}/velodyne_points/data/*.bin")
+        if path.stem == f"{victim.index:010d}"
+    )
+    scan.write_bytes(scan.read_bytes()[:-5])
+    n = sum(len(inputs.x) for inputs in inputs_of(data, "test"))
+    assert n == len(data.splits["test"]) - 1
+    assert list(data.skipped) == [str(victim)]
+    assert scan.name in data.skipped[str(victim)]
+
+
+def test_a_batch_without_a_readable_frame_is_none(kitti_raw_root: Path) -> None:
+    data = data_module(kitti_raw_root)
+    victim = data.splits["test"][0]
+    empty = collate([SkippedFrame(victim, "unreadable")])
+    assert data.on_after_batch_transfer(empty, 0) is None
+    assert data.skipped == {str(victim): "unreadable"}
+
+
+def test_workers_and_cache_change_nothing(kitti_raw_root: Path) -> None:
+    plain = inputs_of(data_module(kitti_raw_root), "validation")
+    cached = data_module(kitti_raw_root, cache=True)
+    inputs_of(cached, "validation")
+    for other in (
+        inputs_of(cached, "validation"),
+        inputs_of(data_module(kitti_raw_root, workers=1), "validation"),
+    ):
+        for a, b in zip(plain, other, strict=True):
+            assert torch.equal(a.x, b.x)
+
+
+def test_an_unknown_channel_is_refused_by_name() -> None:
+    with pytest.raises(ConfigurationError, match="thermal"):
+        InputSettings(["rgb", "thermal"], 0.45, 0.225, 10.0, 2.0)

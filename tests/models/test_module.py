@@ -1,0 +1,119 @@
+import pytest
+import torch
+from torch import Tensor, nn
+
+from uncal.data.network_input import NetworkInput
+from uncal.decalibration import DecalibrationRange
+from uncal.models.heads import DisplacementHead, PoseHead
+from uncal.models.losses import displacement_loss, pose_loss, relative_error
+from uncal.models.mobilevit import MatchingMobileViT, MobileViT
+from uncal.models.module import CalibrationModule, PoseEstimator, pass_seed
+from uncal.models.unical import UniCal
+
+RANGE = DecalibrationRange(rotation_deg=1.0, translation_cm=10.0)
+
+
+def unical(backbone: str, head: str) -> UniCal:
+    def make_backbone(channels: int) -> nn.Module:
+        if backbone == "matching":
+            return MatchingMobileViT(channels, 3, 16, 8, 1, [16, 16, 24], [16, 24], [1, 1], 0.25)
+        return MobileViT(channels, [24, 24, 24], [8, 8, 8, 16, 16, 24, 32], 2.0, 16, 0.25, None)
+
+    def make_head(channels: object) -> nn.Module:
+        assert isinstance(channels, tuple)
+        if head == "mlp":
+            return PoseHead(channels, [16], 0.05)
+        return DisplacementHead(channels, 16, len(channels) - 2, 0.05)
+
+    return UniCal(5, make_backbone, make_head)
+
+
+def network_input(batch: int) -> NetworkInput:
+    torch.manual_seed(0)
+    inverse_depth = torch.rand(batch, 1, 64, 96) * 0.2
+    K = torch.tensor([[90.0, 0.0, 48.0], [0.0, 90.0, 32.0], [0.0, 0.0, 1.0]]).expand(batch, 3, 3)
+    T = torch.tensor([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
+    x = torch.cat([torch.randn(batch, 3, 64, 96), inverse_depth, torch.rand(batch, 1, 64, 96)], 1)
+    return NetworkInput(x, inverse_depth, K, T.expand(batch, 4, 4), RANGE.draw(batch))
+
+
+def module(network: nn.Module) -> CalibrationModule:
+    return CalibrationModule(
+        network=network,
+        decalibration=RANGE,
+        optimizer=lambda parameters: torch.optim.AdamW(parameters, lr=3e-3),
+        warmup_fraction=0.1,
+        displacement_weight=0.5,
+        ridge=0.1,
+        passes=5,
+        chunk=None,
+        sigma_floor=1e-9,
+        seed=0,
+    )
+
+
+@pytest.mark.parametrize("backbone", ["matching", "mobilevit"])
+@pytest.mark.parametrize("head", ["geometric", "mlp"])
+def test_every_backbone_works_with_every_head(backbone: str, head: str) -> None:
+    batch = network_input(3)
+    subject = module(unical(backbone, head))
+    loss, pose = subject.loss(batch)
+    loss.backward()  # type: ignore[no-untyped-call]
+    assert pose.shape == (3, 6)
+    network = subject.estimator.network
+    silent = [n for n, p in network.named_parameters() if p.grad is None]
+    assert not silent
+    prediction = subject.engine(*batch[:4], seed=1)
+    assert (prediction.std > 0).all()
+
+
+def test_a_few_steps_overfit_one_batch() -> None:
+    batch = network_input(4)
+    subject = module(unical("matching", "geometric"))
+    optimizer = subject.make_optimizer(subject.parameters())
+    losses = []
+    for _ in range(60):
+        optimizer.zero_grad()
+        loss, _ = subject.loss(batch)
+        loss.backward()  # type: ignore[no-untyped-call]
+        optimizer.step()
+        losses.append(float(loss))
+    assert min(losses[-10:]) < 0.6 * losses[0]
+
+
+class Constant(nn.Module):
+    def __init__(self, shape: tuple[int, ...]) -> None:
+        super().__init__()
+        self.shape = shape
+
+    def forward(self, x: Tensor) -> Tensor:
+        return torch.full((x.shape[0], *self.shape), 0.5)
+
+
+def test_six_numbers_are_in_units_of_the_range() -> None:
+    estimator = PoseEstimator(Constant((6,)), RANGE.bounds, 0.1)
+    torch.testing.assert_close(estimator(*network_input(2)[:4]), 0.5 * RANGE.bounds.expand(2, 6))
+
+
+def test_any_other_shape_is_refused() -> None:
+    estimator = PoseEstimator(Constant((7,)), RANGE.bounds, 0.1)
+    with pytest.raises(ValueError, match=r"\(2, 7\)"):
+        estimator(*network_input(2)[:4])
+
+
+def test_mask_seeds_differ_by_run_split_and_batch() -> None:
+    seeds = {pass_seed(s, split, b) for s in (0, 1) for split in ("test", "train") for b in (0, 1)}
+    assert len(seeds) == 8
+    assert pass_seed(0, "test", 3) == pass_seed(0, "test", 3)
+
+
+def test_losses_by_hand() -> None:
+    bounds = torch.tensor([0.1] * 6)
+    estimate = torch.tensor([[0.1, 0.0, 0.0, 0.0, 0.0, 0.0]])
+    # One DoF off by one range: |1| - 0.2/2 = 0.9, over six DoF.
+    assert pose_loss(estimate, torch.zeros(1, 6), bounds).item() == pytest.approx(0.15)
+    flow = torch.tensor([[[1.0, 0.0], [50.0, 0.0], [7.0, 7.0]]])
+    seen = torch.tensor([[1.0, 1.0, 0.0]])
+    assert displacement_loss(flow, torch.zeros(1, 3, 2), seen).item() == pytest.approx(21 / 4)
+    ratio = relative_error(torch.full((4, 6), 0.5), torch.ones(4, 6))
+    assert ratio.tolist() == [0.5] * 6

@@ -1,0 +1,109 @@
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import cast
+
+import pytest
+from omegaconf import OmegaConf
+
+from uncal.configuration import CONFIG_DIR, find_config_dir
+from uncal.errors import ConfigurationError
+from uncal.simulate import main
+
+TINY = (
+    "simulation.n_rigs=1",
+    "simulation.frames_per_drive=2",
+    "simulation.camera.height=16",
+    "simulation.camera.width=40",
+    "simulation.camera.focal_px=45",
+    "simulation.lidar.beams=8",
+    "simulation.lidar.azimuth_step_deg=2",
+    "simulation.scene.view_m=50",
+)
+
+
+def run(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    package = str(Path(__file__).parents[1])
+    return subprocess.run(
+        [sys.executable, "-m", "uncal.simulate", *arguments],
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": package},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+def test_simulates_then_reuses_and_leaves_nothing_else(tmp_path: Path) -> None:
+    first = run(tmp_path, "root=sim", "workers=1", *TINY)
+    assert first.returncode == 0, first.stderr
+    assert "1 rigs, 1 drives, 2 frames" in first.stdout
+    assert str(tmp_path / "sim") in first.stdout
+    assert "2/2" in first.stderr, "the progress bar counts frames"
+    assert [entry.name for entry in tmp_path.iterdir()] == ["sim"]
+    assert json.loads((tmp_path / "sim/simulation.json").read_text())["n_frames"] == 2
+    images = list((tmp_path / "sim").glob("2041_01_01/*_sync/image_02/data/*.png"))
+    assert len(images) == 2
+    second = run(tmp_path, "root=sim", "workers=1", *TINY)
+    assert second.returncode == 0
+    assert "reusing" in second.stdout
+
+
+@pytest.mark.parametrize(
+    ("argument", "message"),
+    [
+        ("root=mine", "no simulation.json"),
+        ("simulation.camera.height=0", "simulation.camera.height is 0; it must lie between 8"),
+        ("+simulation.lidar.beam=3", "did you mean simulation.lidar.beams?"),
+        ("workers=0", "workers is 0"),
+    ],
+)
+def test_errors_are_one_message(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, argument: str, message: str
+) -> None:
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "thesis.tex").write_text("precious")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["simulate", argument, "progress=false"])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert message in str(ended.value)
+    assert [entry.name for entry in (tmp_path / "mine").iterdir()] == ["thesis.tex"]
+
+
+def test_an_error_ends_without_a_traceback(tmp_path: Path) -> None:
+    failed = run(tmp_path, "simulation.n_rigs=0")
+    assert failed.returncode == 1
+    assert "simulation.n_rigs is 0" in failed.stderr
+    assert "Traceback" not in failed.stderr + failed.stdout
+
+
+def test_help_names_every_key(tmp_path: Path) -> None:
+    shown = run(tmp_path, "--help")
+    assert shown.returncode == 0
+    loaded = OmegaConf.load(Path(CONFIG_DIR) / "simulation/street.yaml")
+    street = cast(dict[str, object], OmegaConf.to_container(loaded))
+    explained = shown.stdout.split("Settings in use")[0]
+    keys = list(street)
+    for value in street.values():
+        keys += list(value) if isinstance(value, dict) else []
+    assert len(keys) > 45
+    assert [key for key in keys if key not in explained] == []
+
+
+def test_configuration_is_found_beside_or_inside_the_package(tmp_path: Path) -> None:
+    package = tmp_path / "uncal"
+    inside = package / "conf"
+    inside.mkdir(parents=True)
+    with pytest.raises(ConfigurationError, match="no configuration folder at"):
+        find_config_dir(package)
+    (inside / "simulate.yaml").write_text("")
+    assert find_config_dir(package) == str(inside)
+    beside = tmp_path / "conf"
+    beside.mkdir()
+    (beside / "simulate.yaml").write_text("")
+    assert find_config_dir(package) == str(beside)

@@ -1,0 +1,139 @@
+"""The result of a run: the paper's table on the terminal and in the run folder."""
+
+from __future__ import annotations
+
+import csv
+import logging
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import lightning
+from lightning import LightningModule, Trainer
+
+from uncal import __version__
+from uncal.data.datamodule import CalibrationDataModule
+from uncal.errors import ConfigurationError
+from uncal.models.module import CalibrationModule
+from uncal.reporting.tables import (
+    ResultRow,
+    Summary,
+    format_terminal,
+    results_table,
+    summarise,
+    write_results,
+)
+
+log = logging.getLogger(__name__)
+
+
+class Report(lightning.Callback):
+    """Writes ``results.csv``, ``results.md`` and ``skipped.csv`` when a test ends.
+
+    Args:
+        folder: the run's folder.
+        levels: coverage levels of the table.
+        label: what the data are, such as "simulated"; stands in every heading.
+    """
+
+    rows: Sequence[ResultRow]
+    summary: Summary
+
+    def __init__(self, folder: str, levels: Sequence[float], label: str) -> None:
+        self.folder = Path(folder)
+        self.levels = list(levels)
+        self.label = label
+
+    @staticmethod
+    def of(trainer: Trainer) -> Report:
+        """The report among a trainer's callbacks.
+
+        Args:
+            trainer: after ``test``.
+
+        Raises:
+            ConfigurationError: it was configured away.
+        """
+        for callback in trainer.callbacks:  # type: ignore[attr-defined]  # set by Trainer.__init__
+            if isinstance(callback, Report):
+                return callback
+        raise ConfigurationError("callbacks.report is missing: the run has no result without it")
+
+    def on_test_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Make the table, write it, show it."""
+        if not isinstance(pl_module, CalibrationModule) or pl_module.tested is None:
+            return
+        tested, calibrator = pl_module.tested, pl_module.calibrator
+        self.rows = results_table(tested.mean, tested.std, tested.target, calibrator, self.levels)
+        self.summary = summarise(tested.mean, tested.target, int(calibrator.count))
+        data = trainer.datamodule  # type: ignore[attr-defined]  # Lightning sets it in test()
+        notes = [*run_notes(pl_module, data), *skip_notes(data.skipped)]
+        csv_path, md_path = write_results(
+            self.folder, self.rows, self.summary, label=self.label, notes=notes
+        )
+        if data.skipped:
+            write_skipped(self.folder / "skipped.csv", data.skipped)
+        table = format_terminal(self.rows, self.summary, label=self.label, notes=notes)
+        sys.stdout.write(f"\n{table}\n\n{csv_path}\n{md_path}\n")
+        sys.stdout.flush()
+
+
+def run_notes(module: CalibrationModule, data: CalibrationDataModule) -> list[str]:
+    """What a reader must know to place the numbers.
+
+    Args:
+        module: the tested module.
+        data: the data it was tested on.
+
+    Returns:
+        One sentence each.
+    """
+    sizes = ", ".join(f"{len(ids)} {name.replace('_', ' ')}" for name, ids in data.splits.items())
+    notes = [
+        f"Split by {data.split_by}: {sizes} frames. {module.engine.passes} stochastic passes, "
+        f"seed {data.seed}, uncal {__version__}.",
+    ]
+    rigs = {frame.rig for frame in data.splits["test"]}
+    if data.split_by != "frame":
+        notes.append(
+            f"The test frames come from {len(rigs)} rigs that neither training nor calibration "
+            "has seen. Frames of one rig hang together, so the band of the exact law, which "
+            "supposes exchangeable frames, is only a yardstick here."
+            if data.split_by == "rig"
+            else "Frames of one drive hang together, so the band of the exact law, which supposes "
+            "exchangeable frames, is only a yardstick here."
+        )
+    return notes
+
+
+def skip_notes(skipped: Mapping[str, str], shown: int = 10) -> list[str]:
+    """How many frames were left out, and the first of them with the reason.
+
+    Args:
+        skipped: frame → reason.
+        shown: how many to list.
+
+    Returns:
+        One sentence each; none if nothing was skipped.
+
+    >>> skip_notes({"rig/drive/0000000003": "truncated"})
+    ['1 frame skipped (all in skipped.csv).', 'Skipped rig/drive/0000000003: truncated']
+    """
+    if not skipped:
+        return []
+    frames = "1 frame" if len(skipped) == 1 else f"{len(skipped)} frames"
+    first = [f"Skipped {frame}: {reason}" for frame, reason in list(skipped.items())[:shown]]
+    return [f"{frames} skipped (all in skipped.csv).", *first]
+
+
+def write_skipped(path: Path, skipped: Mapping[str, str]) -> None:
+    """Write frame and reason of every skipped frame.
+
+    Args:
+        path: the CSV file.
+        skipped: frame → reason.
+    """
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(["frame", "reason"])
+        writer.writerows(sorted(skipped.items()))

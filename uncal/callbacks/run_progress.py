@@ -1,0 +1,84 @@
+"""One progress bar for the whole run, with the time that remains."""
+
+from __future__ import annotations
+
+import sys
+from typing import TYPE_CHECKING
+
+import lightning
+from lightning import LightningModule, Trainer
+from tqdm import tqdm
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from torch import Tensor
+
+
+class RunProgress(lightning.Callback):
+    """Counts training steps over all epochs, then test batches; validation is part of the rate."""
+
+    def __init__(self) -> None:
+        self._bar: tqdm[None] | None = None
+
+    def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Open the bar; a resumed run starts where it stopped."""
+        self._open("training", int(trainer.estimated_stepping_batches), trainer.global_step)
+
+    def on_train_batch_end(
+        self,
+        trainer: Trainer,
+        pl_module: LightningModule,
+        outputs: Tensor | Mapping[str, object] | None,
+        batch: object,
+        batch_idx: int,
+    ) -> None:
+        """Advance by one step and show epoch and loss."""
+        metrics = trainer.progress_bar_metrics
+        shown = {name: f"{float(value):.3f}" for name, value in metrics.items()}
+        self._advance(epoch=f"{trainer.current_epoch + 1}/{trainer.max_epochs}", **shown)
+
+    def on_train_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Close the bar."""
+        self._close()
+
+    def on_test_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Open the bar of the test split."""
+        self._open("MC dropout, test", int(sum(trainer.num_test_batches)), 0)
+
+    def on_test_batch_end(
+        self,
+        trainer: Trainer,
+        pl_module: LightningModule,
+        outputs: Tensor | Mapping[str, object] | None,
+        batch: object,
+        batch_idx: int,
+        dataloader_idx: int = 0,
+    ) -> None:
+        """Advance by one batch."""
+        self._advance()
+
+    def on_test_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Close the bar."""
+        self._close()
+
+    def on_exception(
+        self, trainer: Trainer, pl_module: LightningModule, exception: BaseException
+    ) -> None:
+        """Leave the terminal in order."""
+        self._close()
+
+    def _open(self, what: str, total: int, done: int) -> None:
+        # A log file does not need ten lines a second.
+        interval = 0.5 if sys.stderr.isatty() else 15.0
+        self._bar = tqdm(desc=what, total=total, initial=done, mininterval=interval, unit="step")
+
+    def _advance(self, **shown: str) -> None:
+        if self._bar is not None:
+            self._bar.set_postfix(shown, refresh=False)
+            self._bar.update()
+
+    def _close(self) -> None:
+        if self._bar is not None:
+            self._bar.close()
+            self._bar = None
