@@ -10,8 +10,7 @@ from typing import cast
 import pytest
 from omegaconf import OmegaConf
 
-from uncal.configuration import CONFIG_DIR, find_config_dir
-from uncal.errors import ConfigurationError
+from uncal.configuration import CONFIG_DIR
 from uncal.simulate import main
 
 TINY = (
@@ -60,6 +59,7 @@ def test_simulates_then_reuses_and_leaves_nothing_else(tmp_path: Path) -> None:
         ("simulation.camera.height=0", "simulation.camera.height is 0; it must lie between 8"),
         ("+simulation.lidar.beam=3", "did you mean simulation.lidar.beams?"),
         ("workers=0", "workers is 0"),
+        ("workers=many", "workers is 'many'; it must be at least 1"),
     ],
 )
 def test_errors_are_one_message(
@@ -93,17 +93,3 @@ def test_help_names_every_key(tmp_path: Path) -> None:
         keys += list(value) if isinstance(value, dict) else []
     assert len(keys) > 45
     assert [key for key in keys if key not in explained] == []
-
-
-def test_configuration_is_found_beside_or_inside_the_package(tmp_path: Path) -> None:
-    package = tmp_path / "uncal"
-    inside = package / "conf"
-    inside.mkdir(parents=True)
-    with pytest.raises(ConfigurationError, match="no configuration folder at"):
-        find_config_dir(package)
-    (inside / "simulate.yaml").write_text("")
-    assert find_config_dir(package) == str(inside)
-    beside = tmp_path / "conf"
-    beside.mkdir()
-    (beside / "simulate.yaml").write_text("")
-    assert find_config_dir(package) == str(beside)

@@ -12,6 +12,9 @@ from uncal.errors import ConfigurationError, UncalError
 P = ParamSpec("P")
 R = TypeVar("R")
 
+INTERRUPTED = 130
+"""Exit code after Ctrl-C, as a shell gives it (128 + SIGINT)."""
+
 
 def find_config_dir(package: Path) -> str:
     """Absolute path of the configuration folder.
@@ -38,7 +41,8 @@ CONFIG_DIR: str = find_config_dir(Path(__file__).resolve().parent)
 def exits_on_error(main: Callable[P, R]) -> Callable[P, R]:
     """Make an entry point end with the message alone and exit code 1 on an :class:`UncalError`.
 
-    Stands below ``@hydra.main``, which would otherwise print a traceback.
+    Ctrl-C ends it without a traceback too. Stands below ``@hydra.main``, which would otherwise
+    print one.
 
     >>> @exits_on_error
     ... def main() -> None:
@@ -54,5 +58,7 @@ def exits_on_error(main: Callable[P, R]) -> Callable[P, R]:
             return main(*args, **kwargs)
         except UncalError as error:
             raise SystemExit(str(error)) from error
+        except KeyboardInterrupt:
+            raise SystemExit(INTERRUPTED) from None
 
     return wrapped

@@ -6,17 +6,20 @@ from uncal.data.network_input import NetworkInput
 from uncal.decalibration import DecalibrationRange
 from uncal.models.heads import DisplacementHead, PoseHead
 from uncal.models.losses import displacement_loss, pose_loss, relative_error
-from uncal.models.mobilevit import MatchingMobileViT, MobileViT
+from uncal.models.mobilevit import CorrelationMobileViT, MobileViT
 from uncal.models.module import CalibrationModule, PoseEstimator, pass_seed
 from uncal.models.unical import UniCal
+from uncal.uncertainty.mc_dropout import MCDropout
 
 RANGE = DecalibrationRange(rotation_deg=1.0, translation_cm=10.0)
 
 
 def unical(backbone: str, head: str) -> UniCal:
     def make_backbone(channels: int) -> nn.Module:
-        if backbone == "matching":
-            return MatchingMobileViT(channels, 3, 16, 8, 1, [16, 16, 24], [16, 24], [1, 1], 0.25)
+        if backbone == "correlation":
+            return CorrelationMobileViT(
+                channels, 3, 1, [8, 16, 16], [16, 16, 24], [16, 24], [1, 1], 0.25
+            )
         return MobileViT(channels, [24, 24, 24], [8, 8, 8, 16, 16, 24, 32], 2.0, 16, 0.25, None)
 
     def make_head(channels: object) -> nn.Module:
@@ -52,7 +55,7 @@ def module(network: nn.Module) -> CalibrationModule:
     )
 
 
-@pytest.mark.parametrize("backbone", ["matching", "mobilevit"])
+@pytest.mark.parametrize("backbone", ["correlation", "mobilevit"])
 @pytest.mark.parametrize("head", ["geometric", "mlp"])
 def test_every_backbone_works_with_every_head(backbone: str, head: str) -> None:
     batch = network_input(3)
@@ -63,13 +66,33 @@ def test_every_backbone_works_with_every_head(backbone: str, head: str) -> None:
     network = subject.estimator.network
     silent = [n for n, p in network.named_parameters() if p.grad is None]
     assert not silent
-    prediction = subject.engine(*batch[:4], seed=1)
+    prediction = subject.stochastic(batch, seed=1)
     assert (prediction.std > 0).all()
+
+
+def test_sharing_what_no_dropout_reaches_changes_nothing() -> None:
+    batch = network_input(2)
+    subject = module(unical("correlation", "geometric")).eval()
+    whole = MCDropout(subject.estimator, 5)
+    a, b = whole(*batch[:4], seed=3), subject.stochastic(batch, seed=3)
+    torch.testing.assert_close(a.mean, b.mean)
+    torch.testing.assert_close(a.std, b.std)
+    assert whole.identity().rates == subject.engine.identity().rates
+
+
+def test_stochastic_passes_leave_the_module_as_it_was() -> None:
+    batch = network_input(2)
+    subject = module(unical("correlation", "geometric")).train()
+    before = {key: value.clone() for key, value in subject.state_dict().items()}
+    subject.stochastic(batch, seed=3)
+    assert all(m.training for m in subject.estimator.modules())
+    for key, value in subject.state_dict().items():
+        assert torch.equal(value, before[key]), key
 
 
 def test_a_few_steps_overfit_one_batch() -> None:
     batch = network_input(4)
-    subject = module(unical("matching", "geometric"))
+    subject = module(unical("correlation", "geometric"))
     optimizer = subject.make_optimizer(subject.parameters())
     losses = []
     for _ in range(60):

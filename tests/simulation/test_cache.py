@@ -89,6 +89,17 @@ def test_other_settings_replace_the_simulation_but_nothing_else(
     assert entries == {"2041_01_01", "simulation.json", "notes.txt", LOCK_NAME}
 
 
+def test_an_edited_manifest_cannot_remove_other_folders(
+    make_settings: MakeSettings, root: Path
+) -> None:
+    outside = root.parent / "outside"
+    outside.mkdir()
+    manifest = root / "simulation.json"
+    manifest.write_text(manifest.read_text().replace('"2041_01_02"', '"../outside"'))
+    ensure_simulated(make_settings(n_rigs=1, seed=7), root, workers=1, progress=False)
+    assert outside.is_dir()
+
+
 @pytest.mark.parametrize(
     ("name", "text", "message"),
     [

@@ -10,9 +10,10 @@ from uncal.simulation.drive import Piece, build_scene
 from uncal.simulation.lidar import Lidar
 from uncal.simulation.rig import Rig, draw_rig
 from uncal.simulation.rigid import Matrix, inverse, pose_matrix
-from uncal.simulation.scene import Scene
+from uncal.simulation.scene import NOTHING, Scene
 from uncal.simulation.settings import SimulationSettings
 from uncal.simulation.trajectory import vehicle_pose
+from uncal.simulation.view import View
 
 MakeSettings = Callable[..., SimulationSettings]
 
@@ -35,7 +36,8 @@ def depth_agreement(
     rays = np.column_stack([pixels, np.ones(len(pixels))]) @ np.linalg.inv(rig.K).T
     directions = (rays @ T_world_cam[:3, :3].T).astype(np.float32)
     origins = np.tile(T_world_cam[:3, 3].astype(np.float32), (len(rays), 1))
-    depth = scene.cast(origins, directions).t
+    triangle = scene.cast(origins, directions)
+    depth = View(scene, T_world_cam[:3, 3]).meet(triangle, directions.T).t
     assert len(depth) > 100
     return float((np.abs(depth - in_camera[:, 2]) < 0.02 * depth + 0.05).mean())
 
@@ -84,8 +86,6 @@ def test_no_car_stands_where_the_vehicle_drives(make_settings: MakeSettings) -> 
         street, scene = build_scene(settings, Piece(index, 0, 0, 8))
         for frame in range(8):
             pose = vehicle_pose(settings, street, index, 0, frame)
-            ahead = scene.cast(
-                (pose[:3, 3] + [0, 0, 1]).astype(np.float32)[None],
-                pose[:3, 0].astype(np.float32)[None],
-            )
-            assert ahead.t[0] > 4.0
+            eye, forward = pose[:3, 3] + [0, 0, 1], pose[:3, :1].astype(np.float32)
+            ahead = scene.cast(eye.astype(np.float32)[None], forward.T.copy())
+            assert ahead[0] == NOTHING or View(scene, eye).meet(ahead, forward).t[0] > 4.0

@@ -76,20 +76,8 @@ def test_every_triangle_keeps_its_objects_surface() -> None:
     mesh = Mesh()
     zeros = np.zeros((3, 3))
     mesh.add_boxes(zeros, zeros + 1, np.zeros(3), surfaces(3), np.random.default_rng(0))
-    assert np.concatenate(mesh.texture).tolist() == [0] * 8 + [1] * 8 + [2] * 8 + [
-        0,
-        0,
-        0,
-        0,
-        1,
-        1,
-        1,
-        1,
-        2,
-        2,
-        2,
-        2,
-    ]
+    sides, ends = [[owner] * 8 for owner in range(3)], [[owner] * 4 for owner in range(3)]
+    assert np.concatenate(mesh.texture).tolist() == np.concatenate(sides + ends).tolist()
 
 
 def test_nothing_to_add_is_no_error() -> None:

@@ -36,11 +36,11 @@ def test_ground_is_closed_and_at_the_right_height(street: Street) -> None:
     s, y = rng.uniform(0.1, 79.9, 5000), rng.uniform(-VERGE_M, VERGE_M, 5000)
     above = np.column_stack([s, y, np.full(5000, 5.0)]).astype(np.float32)
     down = np.tile(np.array([0, 0, -1], np.float32), (5000, 1))
-    hits = scene.cast(above, down)
-    assert (hits.triangle >= 0).all()
+    triangle = scene.cast(above, down)
+    assert (triangle >= 0).all()
     raised = (np.abs(y) > street.kerb_y) & ~street.in_crossing(s, 0.0)
-    np.testing.assert_allclose(5.0 - hits.t, np.where(raised, 0.1, 0.0), atol=1e-4)
-    np.testing.assert_allclose(scene.normals[hits.triangle], [[0, 0, 1]] * 5000, atol=1e-5)
+    np.testing.assert_allclose(scene.corners[triangle, 2], np.where(raised, 0.1, 0.0), atol=1e-6)
+    np.testing.assert_allclose(scene.normals[triangle], [[0, 0, 1]] * 5000, atol=1e-5)
 
 
 def test_kerbs_hide_the_underside_of_the_pavement(street: Street) -> None:
@@ -51,10 +51,10 @@ def test_kerbs_hide_the_underside_of_the_pavement(street: Street) -> None:
     # From the road and from the crossing, just above the ground, level with the kerb stones.
     origins = np.array([[10, 0, 0.05], [10, 0, 0.05], [35, 20, 0.05], [35, -20, 0.05]], np.float32)
     towards = np.array([[0, 1, 0], [0, -1, 0], [1, 0, 0], [-1, 0, 0]], np.float32)
-    hits = scene.cast(origins, towards)
-    np.testing.assert_allclose(hits.t, [5, 5, 5, 5], atol=1e-4)
-    facing = (scene.normals[hits.triangle] * towards).sum(1)
-    np.testing.assert_allclose(facing, -1.0, atol=1e-5)
+    triangle = scene.cast(origins, towards)
+    np.testing.assert_allclose((scene.normals[triangle] * towards).sum(1), -1.0, atol=1e-5)
+    distance = ((scene.corners[triangle] - origins) * towards).sum(1)
+    np.testing.assert_allclose(distance, 5.0, atol=1e-4)
 
 
 def test_course_is_consistent_with_its_derivatives(tiny_settings: SimulationSettings) -> None:

@@ -40,7 +40,7 @@ def predict_split(
             if inputs is None:
                 continue
             with trainer.precision_plugin.forward_context():
-                prediction = module.engine(*inputs[:4], seed=pass_seed(data.seed, split, number))
+                prediction = module.stochastic(inputs, pass_seed(module.seed, split, number))
             parts.append(
                 SplitPrediction(prediction.mean.cpu(), prediction.std.cpu(), inputs.target.cpu())
             )

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, cast
 
+import torch
 from torch import Tensor, nn
 from transformers import MobileViTConfig, MobileViTModel
 from transformers.models.mobilevit.modeling_mobilevit import MobileViTLayer
 
 from uncal.errors import ConfigurationError
+from uncal.models.correlation import EdgeCorrelation
 from uncal.models.dropout import use_fast_dropout
-from uncal.models.matching import MatchingStem
 
 
 class MobileViT(nn.Module):
@@ -76,16 +77,15 @@ class MobileViT(nn.Module):
         return maps
 
 
-class MatchingMobileViT(nn.Module):
-    """A :class:`~uncal.models.matching.MatchingStem` at stride 4, then MobileViT stages.
+class CorrelationMobileViT(nn.Module):
+    """A small MobileViT on convolutions of all channels fused with their edge correlation.
 
     Args:
-        in_channels: C of the input, the image's first.
+        in_channels: C of the input: the image's, inverse depth, intensity.
         image_channels: how many of them are the image's.
-        width: channels of each branch of the stem.
-        descriptor: length of the correlated descriptors.
-        radius: of the search, cells of stride 4.
-        channels: of the fused map and of each MobileViT stage after it.
+        radius: of the edge correlation, cells of 2 pixels.
+        stem_channels: of the three convolutions with stride 2 before the fusion.
+        channels: of the fused map and of each MobileViT stage, all but the first stage halving.
         hidden_sizes: widths of the transformers in those stages.
         layers: transformer layers in each of those stages.
         dropout: rate in the transformer layers.
@@ -95,48 +95,96 @@ class MatchingMobileViT(nn.Module):
         self,
         in_channels: int,
         image_channels: int,
-        width: int,
-        descriptor: int,
         radius: int,
+        stem_channels: Sequence[int],
         channels: Sequence[int],
         hidden_sizes: Sequence[int],
         layers: Sequence[int],
         dropout: float,
     ) -> None:
         super().__init__()
-        if not len(channels) - 1 == len(hidden_sizes) == len(layers):
+        if not len(channels) - 1 == len(hidden_sizes) == len(layers) or len(stem_channels) != 3:
             raise ConfigurationError(
-                f"model.backbone: {len(channels)} channels, {len(hidden_sizes)} hidden_sizes, "
-                f"{len(layers)} layers; expected one channel more than stages"
+                f"model.backbone: {len(stem_channels)} stem_channels (expected 3), {len(channels)} "
+                f"channels, {len(hidden_sizes)} hidden_sizes, {len(layers)} layers (expected one "
+                "channel more than stages)"
             )
-        if not 0 < image_channels < in_channels:
+        if in_channels != image_channels + 2:
             raise ConfigurationError(
-                f"model.backbone.image_channels={image_channels} of {in_channels} input channels: "
-                "matching needs both an image and LiDAR channels"
+                f"model.inputs gives {in_channels} channels; the correlation backbone expects "
+                f"{image_channels} of the image, then inverse_depth and intensity. Choose another "
+                "with model/backbone=mobilevit_xxs"
             )
-        self.stem = MatchingStem(
-            image_channels, in_channels - image_channels, width, descriptor, radius, channels[0]
+        self.correlation = EdgeCorrelation(image_channels, radius)
+        self.stem = nn.Sequential(
+            *(
+                convolution(before, after, stride=2)
+                for before, after in zip((in_channels, *stem_channels), stem_channels, strict=False)
+            )
         )
+        n, first = self.correlation.out_channels, channels[0]
+        self.read = nn.Sequential(nn.BatchNorm2d(n), *convolution(n, first, size=1))
+        self.fuse = convolution(stem_channels[-1] + first, first, size=1)
         config = MobileViTConfig(hidden_dropout_prob=dropout)
         self.stages = nn.ModuleList(
-            MobileViTLayer(config, before, after, stride=2, hidden_size=hidden, num_stages=depth)
-            for before, after, hidden, depth in zip(
-                channels[:-1], channels[1:], hidden_sizes, layers, strict=True
+            MobileViTLayer(
+                config,
+                channels[i],
+                channels[i + 1],
+                stride=1 if i == 0 else 2,
+                hidden_size=hidden_sizes[i],
+                num_stages=layers[i],
             )
+            for i in range(len(layers))
         )
         use_fast_dropout(self.stages)
-        self.channels: tuple[int, ...] = tuple(channels)
+        self.channels: tuple[int, ...] = tuple(channels[1:])
 
-    def forward(self, x: Tensor) -> list[Tensor]:
-        """Features from fine to coarse.
+    def encode(self, x: Tensor) -> Tensor:
+        """The part without dropout, the same in every stochastic pass.
 
         Args:
-            x: (B, C, H, W); H and W best multiples of 32.
+            x: (B, C, H, W); H and W multiples of 8, best of 32.
 
         Returns:
-            Maps (B, channels[i], H/s, W/s), s = 4, 8, 16 and so on.
+            (B, channels[0], H/8, W/8).
         """
-        maps = [self.stem(x)]
+        correlation = self.read(self.correlation(x))
+        return cast(Tensor, self.fuse(torch.cat([self.stem(x), correlation], 1)))
+
+    def decode(self, features: Tensor) -> list[Tensor]:
+        """The stages with dropout.
+
+        Args:
+            features: what :meth:`encode` returned.
+
+        Returns:
+            Maps (B, channels[i+1], H/s, W/s) from fine to coarse, s = 8, 16 and so on.
+        """
+        maps = []
         for stage in self.stages:
-            maps.append(cast(Tensor, stage(maps[-1])))
+            features = cast(Tensor, stage(features))
+            maps.append(features)
         return maps
+
+    def forward(self, x: Tensor) -> list[Tensor]:
+        """Both parts, one after the other."""
+        return self.decode(self.encode(x))
+
+
+def convolution(
+    in_channels: int, out_channels: int, stride: int = 1, size: int = 3
+) -> nn.Sequential:
+    """Convolution, BatchNorm, SiLU.
+
+    Args:
+        in_channels: of the input.
+        out_channels: of the output.
+        stride: of the convolution.
+        size: of the kernel, odd.
+    """
+    return nn.Sequential(
+        nn.Conv2d(in_channels, out_channels, size, stride, size // 2, bias=False),
+        nn.BatchNorm2d(out_channels),
+        nn.SiLU(),
+    )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Callable, Iterable
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import lightning
 import torch
@@ -21,7 +21,7 @@ from uncal.geometry import DOF_NAMES
 from uncal.models.geometric import GeometricSolver, grid_points, true_displacement
 from uncal.models.losses import displacement_loss, pose_loss, relative_error
 from uncal.uncertainty.conformal import ConformalCalibrator
-from uncal.uncertainty.mc_dropout import MCDropout
+from uncal.uncertainty.mc_dropout import MCDropout, Prediction
 
 
 class Estimate(NamedTuple):
@@ -103,11 +103,26 @@ class PoseEstimator(nn.Module):
         self.solver = GeometricSolver(bounds, ridge)
         self.register_buffer("bounds", bounds.clone(), persistent=False)
 
-    def estimate(self, x: Tensor, inverse_depth: Tensor, K: Tensor, T_init: Tensor) -> Estimate:
-        """Run the network and, where needed, the solver.
+    def encode(self, x: Tensor) -> Tensor:
+        """The part of the network that no dropout reaches, if it says so by an ``encode`` method.
 
         Args:
             x: (B, C, H, W) the network's input.
+
+        Returns:
+            What its ``decode`` goes on with; ``x`` itself for a network without the two.
+        """
+        x = x.contiguous(memory_format=torch.channels_last)
+        encode = getattr(self.network, "encode", None)
+        return x if encode is None else cast(Tensor, encode(x))
+
+    def decode(
+        self, features: Tensor, inverse_depth: Tensor, K: Tensor, T_init: Tensor
+    ) -> Estimate:
+        """The rest of the network and, where needed, the solver.
+
+        Args:
+            features: what :meth:`encode` returned.
             inverse_depth: (B, 1, H, W) 1/m of the decalibrated projection.
             K: (B, 3, 3) camera matrices.
             T_init: (B, 4, 4) decalibrated extrinsics.
@@ -118,21 +133,39 @@ class PoseEstimator(nn.Module):
         Raises:
             ValueError: the network returned neither of the two shapes.
         """
-        output = self.network(x.contiguous(memory_format=torch.channels_last))
-        if output.shape == (x.shape[0], 6):
+        output = cast(Tensor, getattr(self.network, "decode", self.network)(features))
+        if output.shape == (len(features), 6):
             return Estimate(output.float() * self.bounds, None)
         if output.ndim != 4 or output.shape[1] != 4:
             raise ValueError(
                 f"the network returned shape {tuple(output.shape)}; expected (B, 6) or (B, 4, h, w)"
             )
         # Pixels and metres need more than half precision.
-        with torch.autocast(x.device.type, enabled=False):
+        with torch.autocast(features.device.type, enabled=False):
             points = grid_points(inverse_depth, K, (output.shape[2], output.shape[3]))
             return Estimate(self.solver(output, points, K, T_init), output)
 
     def forward(self, x: Tensor, inverse_depth: Tensor, K: Tensor, T_init: Tensor) -> Tensor:
-        """The pose alone; see :meth:`estimate`."""
-        return self.estimate(x, inverse_depth, K, T_init).pose
+        """The pose alone; see :meth:`decode`."""
+        return self.decode(self.encode(x), inverse_depth, K, T_init).pose
+
+
+class StochasticPart(nn.Module):
+    """What differs from pass to pass: an estimator from behind its ``encode`` on.
+
+    The encoder's weights belong to its state too, so that a fingerprint covers the whole.
+
+    Args:
+        estimator: the whole.
+    """
+
+    def __init__(self, estimator: PoseEstimator) -> None:
+        super().__init__()
+        self.estimator = estimator
+
+    def forward(self, features: Tensor, inverse_depth: Tensor, K: Tensor, T_init: Tensor) -> Tensor:
+        """(B, 6) pose; see :meth:`PoseEstimator.decode`."""
+        return self.estimator.decode(features, inverse_depth, K, T_init).pose
 
 
 class CalibrationModule(lightning.LightningModule):
@@ -169,7 +202,7 @@ class CalibrationModule(lightning.LightningModule):
         self.make_optimizer = optimizer
         self.warmup_fraction = warmup_fraction
         self.displacement_weight = displacement_weight
-        self.engine = MCDropout(self.estimator, passes, chunk)
+        self.engine = MCDropout(StochasticPart(self.estimator), passes, chunk)
         self.calibrator = ConformalCalibrator(DOF_NAMES, sigma_floor)
         self.seed = seed
         self.recipe: dict[str, object] = {}
@@ -198,7 +231,7 @@ class CalibrationModule(lightning.LightningModule):
         Returns:
             The loss (scalar) and the estimated pose (B, 6).
         """
-        estimate = self.estimator.estimate(*batch[:4])
+        estimate = self.estimator.decode(self.estimator.encode(batch.x), *batch[1:4])
         loss = pose_loss(estimate.pose, batch.target, self.estimator.bounds)
         if estimate.flow is not None:
             flow = estimate.flow.float()
@@ -208,6 +241,25 @@ class CalibrationModule(lightning.LightningModule):
             error = displacement_loss(displacement, truth, points.seen)
             loss = loss + self.displacement_weight * error
         return loss, estimate.pose
+
+    def stochastic(self, batch: NetworkInput, seed: int) -> Prediction:
+        """Mean and spread of the stochastic passes; what no dropout reaches runs once.
+
+        Args:
+            batch: B network inputs.
+            seed: of the dropout masks.
+
+        Returns:
+            Mean and σ, each (B, 6), metres and radians.
+        """
+        training = self.estimator.training
+        self.estimator.eval()
+        try:
+            with torch.inference_mode():
+                features = self.estimator.encode(batch.x)
+            return self.engine(features, *batch[1:4], seed=seed)
+        finally:
+            self.estimator.train(training)
 
     def training_step(self, batch: NetworkInput | None, batch_idx: int) -> Tensor | None:
         """One optimisation step; a batch without a readable frame is passed over."""
@@ -240,7 +292,7 @@ class CalibrationModule(lightning.LightningModule):
         """Collect the MC-dropout prediction."""
         if batch is None:
             return
-        prediction = self.engine(*batch[:4], seed=pass_seed(self.seed, "test", batch_idx))
+        prediction = self.stochastic(batch, pass_seed(self.seed, "test", batch_idx))
         self._tested.append(
             SplitPrediction(prediction.mean.cpu(), prediction.std.cpu(), batch.target.cpu())
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 import shutil
 from pathlib import Path
 
@@ -73,7 +74,8 @@ def ensure_simulated(
 
 
 def _remove(root: Path, dates: list[str]) -> None:
-    """Remove a simulation's own folders, nothing else."""
-    for folder in [*(root / date for date in dates), *root.glob(f"{PARTIAL_PREFIX}*")]:
+    """Remove a simulation's own folders, nothing else, whatever its manifest has been edited to."""
+    own = [root / date for date in dates if re.fullmatch(r"\d{4}_\d{2}_\d{2}", date)]
+    for folder in [*own, *root.glob(f"{PARTIAL_PREFIX}*")]:
         if folder.is_dir():
             shutil.rmtree(folder)

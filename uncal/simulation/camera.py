@@ -8,8 +8,9 @@ from numpy.typing import NDArray
 from uncal.simulation.meshes import Array
 from uncal.simulation.palette import LUMINANCE
 from uncal.simulation.rigid import Matrix
-from uncal.simulation.scene import Hits, Scene
+from uncal.simulation.scene import NOTHING, Numbers, Scene
 from uncal.simulation.settings import CameraSettings
+from uncal.simulation.view import Meeting, View
 from uncal.simulation.visibility import visible
 
 MEAN_LUMINANCE = 0.3
@@ -41,7 +42,7 @@ class Camera:
         u = (columns[:, None] + step).ravel()
         v = (rows[:, None] + step).ravel()
         x, y = np.meshgrid((u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1])
-        # z = 1, so that a hit's t is its depth.
+        # z = 1, so that t along a ray is depth.
         self._rays = np.stack([x, y, np.ones_like(x)], -1).astype(np.float32)
         self._sample_width = np.float32(1 / (K[0, 0] * n))
         centre = n // 2
@@ -67,14 +68,14 @@ class Camera:
     def _expose(self, scene: Scene, T_world_cam: Matrix) -> Array:
         """Mean radiance of each pixel, (3, H·W) linear RGB."""
         n = self.settings.supersampling
-        position = T_world_cam[:3, 3].astype(np.float32)
         directions = self._rays @ T_world_cam[:3, :3].T.astype(np.float32)
-        hits = visible(scene, position, directions)
-        exposure = _Exposure(scene, position, self._sample_width, self.settings)
+        triangle = visible(scene, T_world_cam[:3, 3].astype(np.float32), directions)
+        exposure = _Exposure(scene, T_world_cam[:3, 3], self._sample_width, self.settings)
         for row in range(n):
             for column in range(n):
                 each = (slice(row, None, n), slice(column, None, n))
-                exposure.add(directions[each].reshape(-1, 3), hits[each])
+                rays = directions[each].transpose(2, 0, 1).reshape(3, -1)
+                exposure.add(triangle[each].ravel(), rays)
         exposure.light /= n * n
         return exposure.light
 
@@ -100,44 +101,50 @@ class _Exposure:
     """
 
     def __init__(
-        self, scene: Scene, position: Array, sample_width: np.float32, settings: CameraSettings
+        self,
+        scene: Scene,
+        position: NDArray[np.float64],
+        sample_width: np.float32,
+        settings: CameraSettings,
     ) -> None:
         """Open the shutter at a (3,) world position."""
         n_pixels = settings.height * settings.width
         self.light: Array = np.zeros((3, n_pixels), np.float32)
-        self._scene = scene
-        self._position = position
+        self._view = View(scene, position)
+        self._position = position.astype(np.float32)
         self._sample_width = sample_width
         self._settings = settings
         self._shadows = settings.shadows and bool(scene.sky.sun.any())
-        self._triangle: NDArray[np.int32] = np.full(n_pixels, -1, np.int32)
+        self._triangle: Numbers = np.full(n_pixels, NOTHING, np.int32)
         self._in_sun: Array = np.ones(n_pixels, np.float32)
 
-    def add(self, directions: Array, hits: Hits) -> None:
+    def add(self, triangle: Numbers, directions: Array) -> None:
         """Add the light of one sample per pixel.
 
         Args:
-            directions: (N, 3) world directions.
-            hits: what they met.
+            triangle: (N,) what the samples lie on.
+            directions: (3, N) towards them, world coordinates.
         """
-        scene = self._scene
-        in_sun = self._sunlight(hits, directions)
-        where, empty = np.flatnonzero(hits.triangle >= 0), np.flatnonzero(hits.triangle < 0)
-        found, rays = hits.take(where), directions.take(where, axis=0)
-        slant = np.sqrt(np.maximum(scene.slant(found, rays), np.float32(0.02)))
-        footprint = found.t * self._sample_width / slant
-        seen = scene.radiance(found, footprint, in_sun.take(where))
-        clear = np.exp(found.t * np.float32(-1 / self._settings.haze_m))
-        sky = scene.sky.radiance(scene.textures, directions.take(empty, axis=0))
+        scene = self._view.scene
+        meeting = self._view.meet(triangle, directions)
+        self._update_sun(meeting, directions)
+        footprint = meeting.t * self._sample_width
+        footprint /= np.sqrt(np.maximum(meeting.slant, np.float32(0.02)))
+        seen = self._view.radiance(meeting, footprint, self._in_sun)
+        clear = np.exp(meeting.t * np.float32(-1 / self._settings.haze_m))
+        empty = np.flatnonzero(triangle == NOTHING)
+        sky = scene.sky.radiance(scene.textures, directions.take(empty, axis=1))
         for channel, haze in enumerate(scene.sky.horizon):
-            self.light[channel, where] += haze + (seen[channel] - haze) * clear
+            # Without a surface t is 0 and all is clear, so nothing is added but the sky.
+            self.light[channel] += haze + (seen[channel] - haze) * clear
             self.light[channel, empty] += sky[channel]
 
-    def _sunlight(self, hits: Hits, directions: Array) -> Array:
-        """Share of the sun that reaches each hit, (N,)."""
+    def _update_sun(self, meeting: Meeting, directions: Array) -> None:
+        """Find out whether the sun shines where samples lie on another triangle than before."""
         if self._shadows:
-            new = np.flatnonzero((hits.triangle >= 0) & (hits.triangle != self._triangle))
-            points = directions.take(new, axis=0) * hits.t.take(new)[:, None] + self._position
-            self._in_sun[new] = self._scene.in_sun(points, hits.triangle.take(new))
-            self._triangle = hits.triangle
-        return self._in_sun
+            new = np.flatnonzero(
+                (meeting.triangle != NOTHING) & (meeting.triangle != self._triangle)
+            )
+            points = (directions.take(new, axis=1) * meeting.t.take(new)).T + self._position
+            self._in_sun[new] = self._view.scene.in_sun(points, meeting.triangle.take(new))
+            self._triangle = meeting.triangle

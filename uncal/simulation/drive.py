@@ -107,9 +107,14 @@ def write_frames(settings: SimulationSettings, piece: Piece, folder: Path) -> in
         image = camera.photograph(scene, T_world_lidar @ T_lidar_cam, light_rng)
         points = lidar.sweep(scene, T_world_lidar, generator(settings.seed, Stream.LIDAR, *key))
         picture = folder / "image_02" / "data" / f"{frame:010d}.png"
-        if not cv2.imwrite(str(picture), np.ascontiguousarray(image[..., ::-1])):
-            raise RecordingError(f"{picture} could not be written; is the disk full?")
         cloud = folder / "velodyne_points" / "data" / f"{frame:010d}.bin"
-        points.tofile(cloud)
+        try:
+            if not cv2.imwrite(str(picture), np.ascontiguousarray(image[..., ::-1])):
+                raise OSError("OpenCV gives no reason")
+            points.tofile(cloud)
+        except OSError as error:
+            raise RecordingError(
+                f"{picture} or {cloud.name} could not be written ({error}); is the disk full?"
+            ) from error
         written += picture.stat().st_size + points.nbytes
     return written

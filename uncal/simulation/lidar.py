@@ -6,8 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uncal.simulation.rigid import Matrix
-from uncal.simulation.scene import Scene
+from uncal.simulation.scene import NOTHING, Scene
 from uncal.simulation.settings import LidarSettings
+from uncal.simulation.view import View
 
 BEAM_DIVERGENCE_RAD = 0.003
 """Footprint of a beam per metre of range; a typical figure for a spinning LiDAR."""
@@ -55,22 +56,23 @@ class Lidar:
         """
         limits = self.settings
         directions = self._rays @ T_world_lidar[:3, :3].T.astype(np.float32)
-        position = np.broadcast_to(T_world_lidar[:3, 3].astype(np.float32), directions.shape)
-        hits = scene.cast(position.copy(), directions)
+        origins = np.empty_like(directions)
+        origins[:] = T_world_lidar[:3, 3]
+        triangle = scene.cast(origins, directions)
         # Drawn for every ray, so that one ray's fate does not shift the others' numbers.
         noise = rng.standard_normal((2, len(directions)), dtype=np.float32)
         fate = rng.random((2, len(directions)), dtype=np.float32)
-        where = np.flatnonzero(hits.triangle >= 0)
-        found, rays = hits.take(where), self._rays.take(where, axis=0)
-        noise, fate = noise.take(where, axis=1), fate.take(where, axis=1)
 
-        reflectance = scene.reflectance(found, found.t * np.float32(BEAM_DIVERGENCE_RAD))
-        cosine = scene.slant(found, directions.take(where, axis=0))
-        power = reflectance * cosine / np.maximum(found.t / FULL_POWER_RANGE_M, 0.2) ** 2
+        view = View(scene, T_world_lidar[:3, 3])
+        meeting = view.meet(triangle, np.ascontiguousarray(directions.T))
+        cosine, t = meeting.slant, meeting.t
+        reflectance = view.reflectance(meeting, t * np.float32(BEAM_DIVERGENCE_RAD))
+        power = reflectance * cosine / np.maximum(t / FULL_POWER_RANGE_M, 0.2) ** 2
         lost = (fate[0] < limits.dropout) | (fate[1] * (1 + (power / DETECTABLE) ** 2) < 1)
-        measured = found.t + limits.range_noise_m * noise[0]
+        measured = t + limits.range_noise_m * noise[0]
         keep = ~lost & (measured >= limits.range_min_m) & (measured <= limits.range_max_m)
+        keep &= triangle != NOTHING
 
         shine = reflectance * (0.4 + 0.6 * cosine) * (1 + limits.reflectance_noise * noise[1])
-        points = np.column_stack([rays * measured[:, None], shine.clip(0, 1)])
+        points = np.column_stack([self._rays * measured[:, None], shine.clip(0, 1)])
         return np.ascontiguousarray(points[keep], np.float32)

@@ -31,8 +31,8 @@ class Sky:
     clouds: int
 
     def radiance(self, textures: TextureLibrary, directions: Array) -> Array:
-        """Radiance of the sky in (N, 3) directions: a gradient with clouds, (3, N) linear RGB."""
-        x, y, z = directions.T / np.sqrt((directions.T**2).sum(0))
+        """Radiance of the sky in (3, N) directions: a gradient with clouds, (3, N) linear RGB."""
+        x, y, z = directions / np.sqrt((directions**2).sum(0))
         up = z.clip(0.02, 1)
         texture = np.full(len(up), self.clouds, np.int32)
         scale = np.float32(0.08) / up

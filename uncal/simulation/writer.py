@@ -18,6 +18,7 @@ from pathlib import Path
 from tqdm import tqdm
 
 from uncal.errors import ConfigurationError, RecordingError
+from uncal.memory import keep_freed_memory
 from uncal.simulation.drive import Piece, write_frames
 from uncal.simulation.layout import drive_name, is_complete, prepare_date_folder
 from uncal.simulation.locking import locked
@@ -66,8 +67,8 @@ def write_missing(
     settings: SimulationSettings, root: Path, workers: int | None, progress: bool
 ) -> None:
     """What :func:`simulate` does, for a caller that holds the lock of ``root`` already."""
-    if workers is not None and workers < 1:
-        raise ConfigurationError(f"workers is {workers}; it must be at least 1, or null for all")
+    if workers is not None and (not isinstance(workers, int) or workers < 1):
+        raise ConfigurationError(f"workers is {workers!r}; it must be at least 1, or null for all")
     present = read_manifest(root)
     if present is not None and present.fingerprint != settings.fingerprint():
         raise RecordingError(
@@ -173,10 +174,11 @@ def _process_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
 
 
 def _start_worker() -> None:
-    """Make this worker end, without a traceback, on Ctrl-C and when its parent dies.
+    """Keep memory, and end without a traceback on Ctrl-C and when the parent dies.
 
     Left alone, the workers of a killed parent would wait for their next task for ever.
     """
+    keep_freed_memory()
     parent = multiprocessing.parent_process()
 
     def watch() -> None:

@@ -1,0 +1,54 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from uncal.configuration import CONFIG_DIR, INTERRUPTED, exits_on_error, find_config_dir
+from uncal.errors import ConfigurationError, RecordingError
+
+
+def test_configuration_is_found_beside_or_inside_the_package(tmp_path: Path) -> None:
+    package = tmp_path / "uncal"
+    inside = package / "conf"
+    inside.mkdir(parents=True)
+    with pytest.raises(ConfigurationError, match="no configuration folder at"):
+        find_config_dir(package)
+    (inside / "simulate.yaml").write_text("")
+    assert find_config_dir(package) == str(inside)
+    beside = tmp_path / "conf"
+    beside.mkdir()
+    (beside / "simulate.yaml").write_text("")
+    assert find_config_dir(package) == str(beside)
+
+
+def test_configuration_of_this_checkout_has_the_simulation() -> None:
+    assert (Path(CONFIG_DIR) / "simulation" / "street.yaml").is_file()
+    assert Path(CONFIG_DIR).is_absolute()
+
+
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [
+        (RecordingError("no frames in data"), "no frames in data"),
+        (KeyboardInterrupt(), INTERRUPTED),
+    ],
+)
+def test_entry_points_end_with_a_message_or_a_code(error: BaseException, code: object) -> None:
+    @exits_on_error
+    def main() -> None:
+        raise error
+
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == code
+
+
+def test_other_errors_keep_their_traceback_and_results_pass() -> None:
+    @exits_on_error
+    def divide(a: int, b: int) -> float:
+        return a / b
+
+    assert divide(6, b=3) == 2.0
+    with pytest.raises(ZeroDivisionError):
+        divide(1, 0)

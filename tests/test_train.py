@@ -1,0 +1,178 @@
+"""Whole runs, as a user starts them."""
+
+import csv
+import math
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+from uncal.geometry import DOF_NAMES
+from uncal.uncertainty.conformal import ConformalCalibrator
+
+pytestmark = pytest.mark.slow
+
+TINY = [
+    "dataset.simulation.n_rigs=10",
+    "dataset.simulation.frames_per_drive=4",
+    "dataset.simulation.camera.supersampling=1",
+    "dataset.simulation.lidar.beams=32",
+    "dataset.loader.batch_size=4",
+    "trainer.max_epochs=2",
+    "trainer.accelerator=cpu",
+    "mcd.passes=4",
+]
+
+
+def run(module: str, *overrides: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    """Start an entry point in a folder of its own; fails the test if it hangs."""
+    environment = os.environ | {"PYTHONUNBUFFERED": "1", "COLUMNS": "110"}
+    return subprocess.run(
+        [sys.executable, "-m", module, *overrides],
+        cwd=cwd,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=600,
+        check=False,
+    )
+
+
+def train(cwd: Path, folder: str, *overrides: str) -> subprocess.CompletedProcess[str]:
+    return run("uncal.train", *TINY, f"hydra.run.dir={folder}", *overrides, cwd=cwd)
+
+
+def rows(path: Path) -> list[dict[str, str]]:
+    with path.open(encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+@pytest.fixture(scope="module")
+def workplace(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("runs")
+
+
+@pytest.fixture(scope="module")
+def demo(workplace: Path) -> subprocess.CompletedProcess[str]:
+    """One tiny demo run; the tests below look at what it left."""
+    finished = train(workplace, "first")
+    assert finished.returncode == 0, finished.stderr[-4000:]
+    return finished
+
+
+def test_the_table_has_a_row_per_dof_and_level(demo: object, workplace: Path) -> None:
+    table = rows(workplace / "first" / "results.csv")
+    assert [(row["dof"], float(row["level"])) for row in table] == [
+        (dof, level) for dof in DOF_NAMES for level in (90.0, 95.0, 99.0)
+    ]
+    for row in table:
+        assert 0.0 <= float(row["picp"]) <= 100.0
+        assert float(row["mpiw"]) > 0.0
+        assert float(row["is"]) >= float(row["mpiw"])
+        assert float(row["mae_before"]) > 0.0
+        assert math.isfinite(float(row["mae_after"]))
+    # Four frames in the uncertainty calibration split: no 90 % interval is finite.
+    assert {row["mpiw"] for row in table} == {"inf"}
+
+
+def test_the_terminal_and_the_markdown_say_what_the_data_are(
+    demo: subprocess.CompletedProcess[str], workplace: Path
+) -> None:
+    markdown = (workplace / "first" / "results.md").read_text(encoding="utf-8")
+    for text in (demo.stdout, markdown):
+        assert "simulated" in text
+        assert "∞" in text
+
+
+def test_tensorboard_has_errors_intervals_and_pictures(demo: object, workplace: Path) -> None:
+    events = EventAccumulator(str(workplace / "first"))
+    events.Reload()
+    scalars = set(events.Tags()["scalars"])
+    assert {"loss/train", "loss/validation", "relative error/Yaw"} <= scalars
+    assert {"PICP 90% (%)/Pitch", "MPIW 95%/X (cm)", "IS 99%/Roll (°)"} <= scalars
+    assert any(tag.startswith("overlay/") for tag in events.Tags()["images"])
+    assert list((workplace / "first" / "overlays").glob("*.png"))
+
+
+def test_the_checkpoint_carries_the_calibrator(demo: object, workplace: Path) -> None:
+    path = workplace / "first" / "checkpoints" / "best.ckpt"
+    state = torch.load(path, weights_only=True)["state_dict"]
+    calibrator = ConformalCalibrator()
+    prefix = "calibrator."
+    calibrator.load_state_dict(
+        {key.removeprefix(prefix): v for key, v in state.items() if key.startswith(prefix)}
+    )
+    assert calibrator.is_fitted
+    assert calibrator.scores.shape[1] == 6
+    assert int(calibrator.passes) == 4
+
+
+def test_evaluation_of_the_checkpoint_gives_the_same_bytes(demo: object, workplace: Path) -> None:
+    finished = run(
+        "uncal.evaluate", "ckpt=first/checkpoints/best.ckpt", "hydra.run.dir=again", cwd=workplace
+    )
+    assert finished.returncode == 0, finished.stderr[-4000:]
+    first, again = (workplace / name / "results.csv" for name in ("first", "again"))
+    assert first.read_bytes() == again.read_bytes()
+
+
+def test_a_second_run_reuses_the_simulation_and_a_resumed_one_goes_on(
+    demo: object, workplace: Path
+) -> None:
+    manifest = workplace / "data" / "demo" / "simulation.json"
+    before = manifest.stat().st_mtime_ns
+    finished = train(
+        workplace, "resumed", "ckpt=first/checkpoints/last.ckpt", "trainer.max_epochs=3"
+    )
+    assert finished.returncode == 0, finished.stderr[-4000:]
+    assert manifest.stat().st_mtime_ns == before
+    state = torch.load(workplace / "resumed" / "checkpoints" / "last.ckpt", weights_only=True)
+    assert state["epoch"] == 2
+    first = torch.load(workplace / "first" / "checkpoints" / "last.ckpt", weights_only=True)
+    steps_per_epoch = first["global_step"] // 2
+    assert state["global_step"] == 3 * steps_per_epoch
+
+
+@pytest.mark.parametrize("key", ["mcd.passs=5", "dataset.rot=data", "trainer.max_epoch=1"])
+def test_a_misspelt_key_is_named(workplace: Path, key: str) -> None:
+    finished = run("uncal.train", key, cwd=workplace)
+    assert finished.returncode != 0
+    assert key.split("=")[0].split(".")[-1] in finished.stderr
+
+
+def test_a_wrong_root_says_what_was_expected_and_where_to_get_it(workplace: Path) -> None:
+    finished = run("uncal.train", "dataset=kitti", "dataset.root=nowhere", cwd=workplace)
+    assert finished.returncode == 1
+    assert "nowhere" in finished.stderr
+    assert "cvlibs.net" in finished.stderr
+    assert "Traceback" not in finished.stderr
+
+
+def test_a_missing_checkpoint_is_one_sentence(workplace: Path) -> None:
+    finished = run("uncal.evaluate", "ckpt=nowhere.ckpt", cwd=workplace)
+    assert finished.returncode == 1
+    assert "nowhere.ckpt" in finished.stderr
+    assert "Traceback" not in finished.stderr
+
+
+@pytest.mark.kitti
+def test_real_frames_run_to_their_table(kitti_root: Path, workplace: Path) -> None:
+    finished = run(
+        "uncal.train",
+        "dataset=kitti",
+        f"dataset.root={kitti_root}",
+        "trainer.max_epochs=1",
+        "mcd.passes=3",
+        "hydra.run.dir=real",
+        cwd=workplace,
+    )
+    assert finished.returncode == 0, finished.stderr[-4000:]
+    table = rows(workplace / "real" / "results.csv")
+    assert {row["n_test"] for row in table} == {"4"}
+    assert {row["mpiw"] for row in table} == {"inf"}
+    assert "real KITTI" in finished.stdout
+    assert "99" in finished.stdout
