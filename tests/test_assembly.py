@@ -30,6 +30,13 @@ def test_the_recipe_holds_plain_values_only() -> None:
     assert not any(OmegaConf.is_config(value) for value in recipe.values())
 
 
+def test_a_key_that_nothing_reads_is_refused_even_when_added_by_force() -> None:
+    with initialize_config_dir(CONFIG_DIR, version_base="1.3"):
+        config = compose("train", ["+mcd.passs=5"])
+    with pytest.raises(ConfigurationError, match=r"mcd\.passs"):
+        build_module(config)
+
+
 @pytest.mark.parametrize(
     ("epochs", "validations", "expected"), [(24, 4, 6), (10, 4, 5), (7, 4, 7), (3, 9, 1), (1, 1, 1)]
 )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import cast
 
@@ -63,8 +63,13 @@ def build_module(config: DictConfig) -> CalibrationModule:
 
     Returns:
         The module; its ``recipe`` goes into every checkpoint.
+
+    Raises:
+        ConfigurationError: a setting is unknown or out of its range.
     """
     model = config.model
+    refuse_unknown("mcd", config.mcd, ("passes", "chunk"))
+    refuse_unknown("interval", config.interval, ("levels", "sigma_floor"))
     inputs = instantiate(model.inputs)
     module = CalibrationModule(
         network=instantiate(model.network, in_channels=inputs.n_channels),
@@ -105,6 +110,25 @@ def build_trainer(config: DictConfig) -> lightning.Trainer:
         check_val_every_n_epoch=every,
     )
     return trainer
+
+
+def refuse_unknown(name: str, section: DictConfig, known: Sequence[str]) -> None:
+    """Catch keys that ``+name.key=value`` added although nothing reads them.
+
+    Args:
+        name: of the section.
+        section: of the configuration.
+        known: the keys that are read.
+
+    Raises:
+        ConfigurationError: another key is there.
+    """
+    unknown = [str(key) for key in section if key not in known]
+    if unknown:
+        raise ConfigurationError(
+            f"{', '.join(f'{name}.{key}' for key in unknown)}: nothing reads this; "
+            f"{name} has {', '.join(known)}"
+        )
 
 
 def validation_interval(epochs: int, validations: int) -> int:

@@ -12,7 +12,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from uncal.assembly import build_data, build_module, build_trainer
 from uncal.callbacks.report import Report
-from uncal.configuration import CONFIG_DIR, exits_on_error
+from uncal.configuration import CONFIG_DIR, exits_on_error, quiet_libraries
 from uncal.errors import ConfigurationError
 from uncal.memory import keep_freed_memory
 
@@ -29,6 +29,7 @@ def main(config: DictConfig) -> float:
         Mean over the DoF of mean absolute error / mean absolute decalibration.
     """
     keep_freed_memory()
+    quiet_libraries()
     recipe = read_recipe(Path(config.ckpt))
     run = OmegaConf.merge(config, recipe)
     if config.dataset.root is not None:

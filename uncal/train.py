@@ -10,7 +10,7 @@ from omegaconf import DictConfig
 
 from uncal.assembly import build_data, build_module, build_trainer
 from uncal.callbacks.report import Report
-from uncal.configuration import CONFIG_DIR, exits_on_error
+from uncal.configuration import CONFIG_DIR, exits_on_error, quiet_libraries
 from uncal.errors import UncalError
 from uncal.memory import keep_freed_memory
 
@@ -30,6 +30,7 @@ def main(config: DictConfig) -> float:
         a sweeper minimises it.
     """
     keep_freed_memory()
+    quiet_libraries()
     lightning.seed_everything(config.seed, workers=True, verbose=False)
     data = build_data(config)
     module = build_module(config)

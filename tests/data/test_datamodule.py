@@ -122,6 +122,13 @@ def test_workers_and_cache_change_nothing(kitti_raw_root: Path) -> None:
             assert torch.equal(a.x, b.x)
 
 
+def test_a_limited_loader_spreads_over_the_split(kitti_raw_root: Path) -> None:
+    data = data_module(kitti_raw_root)
+    train = data.splits["train"]
+    frames = [frame for batch in data.loader_of("train", 2) for frame in batch.frames]
+    assert sorted(map(str, frames)) == sorted(map(str, [train[0], train[len(train) // 2]]))
+
+
 def test_an_unknown_channel_is_refused_by_name() -> None:
     with pytest.raises(ConfigurationError, match="thermal"):
         InputSettings(["rgb", "thermal"], 0.45, 0.225, 10.0, 2.0)

@@ -29,11 +29,13 @@ class Overlays(lightning.Callback):
     Args:
         folder: where the PNGs go; each validation replaces those of the one before.
         frames: how many, spread evenly over the validation split.
+        label: what the data are, such as "simulated"; stands in every picture.
     """
 
-    def __init__(self, folder: str, frames: int) -> None:
+    def __init__(self, folder: str, frames: int, label: str) -> None:
         self.folder = Path(folder)
         self.frames = frames
+        self.label = label
 
     def on_validation_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Estimate without dropout, draw, log."""
@@ -56,8 +58,7 @@ class Overlays(lightning.Callback):
         data: CalibrationDataModule,
         sample: Sample,
     ) -> NDArray[np.uint8]:
-        batch = trainer.strategy.batch_to_device(collate([sample]), module.device)
-        inputs = data.on_after_batch_transfer(batch, 0)
+        inputs = data.on_after_batch_transfer(collate([sample]).to(module.device), 0)
         assert inputs is not None
         with torch.inference_mode(), trainer.precision_plugin.forward_context():
             estimate = module(inputs)
@@ -70,7 +71,7 @@ class Overlays(lightning.Callback):
         extrinsics = {
             f"decalibrated: off by {before}": T_init.numpy(),
             f"estimated: off by {after}": T_estimated.numpy(),
-            f"true extrinsic of rig {sample.frame.rig}": T_true.numpy(),
+            f"true extrinsic ({self.label}, rig {sample.frame.rig})": T_true.numpy(),
         }
         image = np.ascontiguousarray(sample.image.numpy().transpose(1, 2, 0))
         scale = max(1, round(WIDTH_PX / image.shape[1]))

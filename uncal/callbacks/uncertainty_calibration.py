@@ -29,10 +29,12 @@ class UncertaintyCalibration(lightning.Callback):
 
     Args:
         levels: coverage levels to log.
+        monitored: most validation frames to log the intervals of; null for all.
     """
 
-    def __init__(self, levels: Sequence[float]) -> None:
+    def __init__(self, levels: Sequence[float], monitored: int | None = None) -> None:
         self.levels = list(levels)
+        self.monitored = monitored
 
     def on_validation_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Fit, then log PICP, MPIW and IS of the validation split per DoF and level."""
@@ -40,7 +42,7 @@ class UncertaintyCalibration(lightning.Callback):
             return
         module, data = _ours(trainer, pl_module)
         self._fit(trainer, module, data)
-        validation = predict_split(trainer, module, data, "validation")
+        validation = predict_split(trainer, module, data, "validation", self.monitored)
         for level in self.levels:
             intervals = module.calibrator.predict(validation.mean, validation.std, level)
             bounds = (intervals.lower, intervals.upper)

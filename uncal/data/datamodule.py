@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 import lightning
 import torch
-from torch.utils.data import DataLoader
+from torch.utils.data import DataLoader, Dataset, Subset
 
 from uncal.data.augmentation import Augmentation
-from uncal.data.dataset import Batch, FrameDataset, collate
+from uncal.data.dataset import Batch, FrameDataset, Sample, SkippedFrame, collate
 from uncal.data.network_input import InputSettings, NetworkInput, make_input
 from uncal.data.splits import SPLITS, split_frames
 from uncal.decalibration import DecalibrationRange
@@ -109,24 +109,29 @@ class CalibrationDataModule(lightning.LightningDataModule):
             self.loader.cache,
         )
 
-    def loader_of(self, split: str) -> DataLoader[Batch]:
+    def loader_of(self, split: str, most: int | None = None) -> DataLoader[Batch]:
         """Batches of one split: shuffled in training, in order elsewhere.
 
         Args:
             split: a name of :data:`uncal.data.splits.SPLITS`.
+            most: frames at most, spread evenly over the split; None: all.
 
         Returns:
             A new loader.
         """
         training = split == "train"
         size = self.loader.batch_size if training else self.loader.eval_batch_size
-        dataset = self.datasets[split]
+        dataset: Dataset[Sample | SkippedFrame] = self.datasets[split]
+        n = len(self.splits[split])
+        if most is not None and most < n:
+            dataset = Subset(dataset, [i * n // most for i in range(most)])
+            n = most
         return DataLoader(
             dataset,  # type: ignore[arg-type]  # collate turns samples into a Batch
             batch_size=size,
             shuffle=training,
             # A small last batch would disturb BatchNorm; it is kept if it is all there is.
-            drop_last=training and len(dataset) > size,
+            drop_last=training and n > size,
             num_workers=self.loader.workers,
             persistent_workers=self.loader.workers > 0,
             collate_fn=collate,

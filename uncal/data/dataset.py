@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -64,6 +64,32 @@ class Batch(NamedTuple):
     T_cam_lidar: Tensor
     decalibration: Tensor | None
     skipped: list[SkippedFrame]
+
+    def to(self, device: torch.device | str, non_blocking: bool = False) -> Batch:
+        """Move the tensors; Lightning calls it for every batch.
+
+        Args:
+            device: where to.
+            non_blocking: do not wait for the copies.
+
+        Returns:
+            The batch on that device.
+        """
+        return self._map(lambda tensor: tensor.to(device, non_blocking=non_blocking))
+
+    def pin_memory(self) -> Batch:
+        """Pin the tensors; the DataLoader calls it where there is a GPU."""
+        return self._map(Tensor.pin_memory)
+
+    def _map(self, function: Callable[[Tensor], Tensor]) -> Batch:
+        fixed = self.decalibration
+        return self._replace(
+            image=function(self.image),
+            points=function(self.points),
+            K=function(self.K),
+            T_cam_lidar=function(self.T_cam_lidar),
+            decalibration=None if fixed is None else function(fixed),
+        )
 
 
 class FrameDataset(Dataset["Sample | SkippedFrame"]):

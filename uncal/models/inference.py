@@ -15,6 +15,7 @@ def predict_split(
     module: CalibrationModule,
     data: CalibrationDataModule,
     split: str,
+    most: int | None = None,
 ) -> SplitPrediction:
     """Run the stochastic passes over a split.
 
@@ -23,6 +24,7 @@ def predict_split(
         module: the network with its MC-dropout engine.
         data: gives the split's batches.
         split: its name.
+        most: frames to predict at most, spread evenly over the split; None: all.
 
     Returns:
         Predictions of all readable frames.
@@ -31,12 +33,11 @@ def predict_split(
         RecordingError: no frame of the split could be read.
     """
     parts: list[SplitPrediction] = []
-    loader = data.loader_of(split)
+    loader = data.loader_of(split, most)
     bar = tqdm(loader, desc=f"MC dropout, {split}", leave=False, mininterval=0.5)
     with torch.inference_mode():
         for number, batch in enumerate(bar):
-            moved = trainer.strategy.batch_to_device(batch, module.device)
-            inputs = data.on_after_batch_transfer(moved, 0)
+            inputs = data.on_after_batch_transfer(batch.to(module.device), 0)
             if inputs is None:
                 continue
             with trainer.precision_plugin.forward_context():
