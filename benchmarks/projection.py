@@ -36,10 +36,9 @@ def made_up_sweep() -> tuple[NDArray[np.float32], NDArray[np.float64], NDArray[n
     elevation, azimuth = np.meshgrid(
         np.radians(np.linspace(-24.8, 2.0, 64)), np.radians(np.arange(-180, 180, 0.19))
     )
-    ray = np.stack(
-        [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)],
-        -1,
-    ).reshape(-1, 3)  # fmt: skip
+    flat = np.cos(elevation)
+    ray = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], -1)
+    ray = ray.reshape(-1, 3)
     with np.errstate(divide="ignore"):
         distance = np.minimum(-1.73 / np.minimum(ray[:, 2], -1e-9), 9.0 / np.abs(ray[:, 1]))
     xyz = ray * np.minimum(distance, 80.0)[:, None]

@@ -1,6 +1,6 @@
 import pytest
 import torch
-from scipy.stats import kstest
+from scipy.stats import kstest  # type: ignore[import-untyped]
 
 from uncal.decalibration import DecalibrationRange, correct, decalibrate
 from uncal.errors import ConfigurationError

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 import torch
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import Rotation  # type: ignore[import-untyped]
 
 from uncal.geometry import (
     euler_to_matrix,

@@ -9,7 +9,9 @@ from pathlib import Path
 
 import pytest
 import torch
-from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+from tensorboard.backend.event_processing.event_accumulator import (  # type: ignore[import-untyped]
+    EventAccumulator,
+)
 
 from uncal.geometry import DOF_NAMES
 from uncal.uncertainty.conformal import ConformalCalibrator

@@ -58,7 +58,7 @@ def test_the_jacobian_is_the_derivative_of_the_projection() -> None:
         moved = T_init @ invert(pose_to_matrix(pose[None]))
         return pixel_coordinates(transform_points(moved, in_lidar), camera)
 
-    numeric = torch.autograd.functional.jacobian(pixels, torch.zeros(6, dtype=torch.float64))
+    numeric = torch.func.jacrev(pixels)(torch.zeros(6, dtype=torch.float64))
     analytic = displacement_jacobian(points, camera, T_init)
     torch.testing.assert_close(analytic, numeric, rtol=1e-6, atol=1e-6)
 
@@ -82,7 +82,7 @@ def test_a_perfect_map_gives_the_decalibration() -> None:
     points = grid_points(inverse_depth, camera, GRID)
     truth = true_displacement(points.points_cam, camera, T_init, target)
     flow = torch.zeros(8, 4, *GRID)
-    flow[:, :2] = truth.transpose(1, 2).unflatten(2, GRID)
+    flow[:, :2] = truth.transpose(1, 2).reshape(-1, 2, *GRID)
     pose = GeometricSolver(RANGE.bounds, ridge=1e-6)(flow, points, camera, T_init)
     # What is left is the second order of a 1° rotation.
     assert ((pose - target).abs().mean(0) / target.abs().mean(0)).max() < 0.05
@@ -94,7 +94,7 @@ def test_low_confidence_takes_cells_out() -> None:
     points = grid_points(inverse_depth, camera, GRID)
     truth = true_displacement(points.points_cam, camera, T_init, target)
     flow = torch.zeros(4, 4, *GRID)
-    flow[:, :2] = truth.transpose(1, 2).unflatten(2, GRID)
+    flow[:, :2] = truth.transpose(1, 2).reshape(-1, 2, *GRID)
     flow[:, :2, :, ::3] += 25.0
     solver = GeometricSolver(RANGE.bounds, ridge=1e-6)
     misled = (solver(flow, points, camera, T_init) - target).abs().mean()

@@ -18,7 +18,7 @@ def unical(backbone: str, head: str) -> UniCal:
     def make_backbone(channels: int) -> nn.Module:
         if backbone == "correlation":
             return CorrelationMobileViT(
-                channels, 3, 1, [8, 16, 16], [16, 16, 24], [16, 24], [1, 1], 0.25
+                channels, 3, 1, [8, 16, 16], [16, 16, 24], [16, 24], [1, 1], 2.0, 0.25
             )
         return MobileViT(channels, [24, 24, 24], [8, 8, 8, 16, 16, 24, 32], 2.0, 16, 0.25, None)
 
@@ -100,7 +100,7 @@ def test_a_few_steps_overfit_one_batch() -> None:
         loss, _ = subject.loss(batch)
         loss.backward()  # type: ignore[no-untyped-call]
         optimizer.step()
-        losses.append(float(loss))
+        losses.append(loss.item())
     assert min(losses[-10:]) < 0.6 * losses[0]
 
 

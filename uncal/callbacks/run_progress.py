@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NoReturn
 
 import lightning
 from lightning import LightningModule, Trainer
@@ -19,7 +19,7 @@ class RunProgress(lightning.Callback):
     """Counts training steps over all epochs, then test batches; validation is part of the rate."""
 
     def __init__(self) -> None:
-        self._bar: tqdm[None] | None = None
+        self._bar: tqdm[NoReturn] | None = None
 
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Open the bar; a resumed run starts where it stopped."""

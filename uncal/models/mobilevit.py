@@ -88,6 +88,7 @@ class CorrelationMobileViT(nn.Module):
         channels: of the fused map and of each MobileViT stage, all but the first stage halving.
         hidden_sizes: widths of the transformers in those stages.
         layers: transformer layers in each of those stages.
+        expand_ratio: of the inverted residual block that opens each stage.
         dropout: rate in the transformer layers.
     """
 
@@ -100,6 +101,7 @@ class CorrelationMobileViT(nn.Module):
         channels: Sequence[int],
         hidden_sizes: Sequence[int],
         layers: Sequence[int],
+        expand_ratio: float,
         dropout: float,
     ) -> None:
         super().__init__()
@@ -125,7 +127,7 @@ class CorrelationMobileViT(nn.Module):
         n, first = self.correlation.out_channels, channels[0]
         self.read = nn.Sequential(nn.BatchNorm2d(n), *convolution(n, first, size=1))
         self.fuse = convolution(stem_channels[-1] + first, first, size=1)
-        config = MobileViTConfig(hidden_dropout_prob=dropout)
+        config = MobileViTConfig(hidden_dropout_prob=dropout, expand_ratio=float(expand_ratio))
         self.stages = nn.ModuleList(
             MobileViTLayer(
                 config,
