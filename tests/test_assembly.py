@@ -1,11 +1,8 @@
-from pathlib import Path
-
 import pytest
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
 from uncal.assembly import build_module, image_size, validation_interval
-from uncal.callbacks.report import skip_notes, write_skipped
 from uncal.configuration import CONFIG_DIR
 from uncal.errors import ConfigurationError
 
@@ -56,14 +53,3 @@ def test_a_bad_image_size_is_named(size: object) -> None:
     value = OmegaConf.create({"size": size}).size
     with pytest.raises(ConfigurationError, match="image_size"):
         image_size(value)
-
-
-def test_skipped_frames_are_counted_listed_and_written(tmp_path: Path) -> None:
-    skipped = {f"rig/drive/{i:010d}": "truncated scan" for i in range(12)}
-    notes = skip_notes(skipped, shown=3)
-    assert notes[0].startswith("12 frames skipped")
-    assert len(notes) == 4
-    write_skipped(tmp_path / "skipped.csv", skipped)
-    lines = (tmp_path / "skipped.csv").read_text().splitlines()
-    assert lines[0] == "frame,reason"
-    assert len(lines) == 13

@@ -24,7 +24,7 @@ def test_near_points_hide_far_ones() -> None:
     near, far = [5.0, 0.0, 0.0, 0.0], [50.0, 0.0, 0.0, 0.0]
     both = draw_points(GREY, np.array([near, far], np.float32), T, K, scale=6)
     alone = draw_points(GREY, np.array([near], np.float32), T, K, scale=6)
-    centre = (slice(15 * 6 + 4, 15 * 6 + 7), slice(31 * 6 + 4, 31 * 6 + 7))
+    centre = (slice(96, 97), slice(192, 193))  # (15.5, 31.5) enlarged six times
     np.testing.assert_array_equal(both[centre], alone[centre])
     alone_far = draw_points(GREY, np.array([far], np.float32), T, K, scale=6)
     assert not np.array_equal(alone_far[centre], alone[centre])
@@ -34,7 +34,8 @@ def test_many_depths_have_many_colours() -> None:
     depth = np.linspace(5, 50, 9, dtype=np.float32)
     points = np.stack([depth, np.linspace(-0.4, 0.4, 9) * depth, 0 * depth, depth], 1)
     picture = draw_points(GREY, points.astype(np.float32), T, K, scale=6)
-    colours = {tuple(pixel) for pixel in picture[15 * 6 + 3, painted(picture)[15 * 6 + 3]].tolist()}
+    row = 96  # (15.5 + 0.5) · 6
+    colours = {tuple(pixel) for pixel in picture[row, painted(picture)[row]].tolist()}
     assert len(colours) >= 9
 
 

@@ -42,6 +42,8 @@ def draw_points(
     pixels = pixels[:, :2] / pixels[:, 2:]
     inside = ((pixels > -0.5) & (pixels < np.array([width, height]) - 0.5)).all(1)
     pixels, depth = pixels[inside], in_camera[inside, 2]
+    if not len(pixels):
+        return np.asarray(canvas, dtype=np.uint8)
     nearness = np.log(FAR_M / depth.clip(NEAR_M, FAR_M)) / np.log(FAR_M / NEAR_M)
     colours = cv2.applyColorMap(
         (255 * nearness).astype(np.uint8).reshape(-1, 1), cv2.COLORMAP_TURBO
