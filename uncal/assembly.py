@@ -42,7 +42,7 @@ def build_data(config: DictConfig) -> CalibrationDataModule:
         settings = SimulationSettings.from_mapping(cast(Mapping[str, object], plain))
         ensure_simulated(settings, Path(dataset.root))
     recording: Recording = instantiate(dataset.recording)
-    log.info("%s: %d frames in %s", dataset.label, len(recording.frame_ids), dataset.root)
+    log.info("%s data: %d frames in %s", dataset.label, len(recording.frame_ids), dataset.root)
     return CalibrationDataModule(
         recording=recording,
         image_size=image_size(dataset.image_size),
