@@ -67,7 +67,8 @@ def exits_on_error(main: Callable[P, R]) -> Callable[P, R]:
 
 
 def quiet_libraries() -> None:
-    """Silence hints and warnings of Lightning that a user of this project cannot act on."""
+    """Silence what a user cannot act on, and print warnings as the sentences they are."""
+    warnings.formatwarning = lambda message, *_, **__: f"warning: {message}\n"
     for name in ("lightning.pytorch", "lightning.fabric"):
         logging.getLogger(name).setLevel(logging.WARNING)
     for message in (
