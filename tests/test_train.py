@@ -3,8 +3,10 @@
 import csv
 import math
 import os
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -137,6 +139,25 @@ def test_a_second_run_reuses_the_simulation_and_a_resumed_one_goes_on(
     first = torch.load(workplace / "first" / "checkpoints" / "last.ckpt", weights_only=True)
     steps_per_epoch = first["global_step"] // 2
     assert state["global_step"] == 3 * steps_per_epoch
+
+
+def test_an_interrupted_run_says_how_to_go_on_and_its_checkpoint_loads(
+    demo: object, workplace: Path
+) -> None:
+    last = workplace / "stopped" / "checkpoints" / "last.ckpt"
+    command = [sys.executable, "-m", "uncal.train", *TINY, "hydra.run.dir=stopped"]
+    started = subprocess.Popen(
+        [*command, "trainer.max_epochs=400"], cwd=workplace, stderr=subprocess.PIPE, text=True
+    )
+    deadline = time.monotonic() + 300
+    while not last.exists() and started.poll() is None and time.monotonic() < deadline:
+        time.sleep(0.2)
+    started.send_signal(signal.SIGINT)
+    _, stderr = started.communicate(timeout=120)
+    assert started.returncode != 0
+    assert "interrupted" in stderr
+    assert "stopped/checkpoints/last.ckpt" in stderr
+    assert torch.load(last, weights_only=True)["epoch"] >= 0
 
 
 @pytest.mark.parametrize("key", ["mcd.passs=5", "dataset.rot=data", "trainer.max_epoch=1"])

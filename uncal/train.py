@@ -36,12 +36,13 @@ def main(config: DictConfig) -> float:
     module = build_module(config)
     trainer = build_trainer(config)
 
-    trainer.fit(module, datamodule=data, ckpt_path=config.ckpt)
-    if trainer.interrupted:
+    try:
+        trainer.fit(module, datamodule=data, ckpt_path=config.ckpt)
+    except SystemExit as stop:  # how Lightning passes Ctrl-C on
         raise UncalError(
-            "interrupted; continue with python -m uncal.train ckpt="
+            "interrupted; go on after the last finished epoch with python -m uncal.train ckpt="
             f"{config.callbacks.checkpoint.dirpath}/last.ckpt and the same settings"
-        )
+        ) from stop
     trainer.test(module, datamodule=data, ckpt_path=best_checkpoint(trainer), verbose=False)
     return Report.of(trainer).summary.mean_ratio
 
