@@ -4,10 +4,12 @@ from torch import Tensor, nn
 
 from uncal.data.network_input import NetworkInput
 from uncal.decalibration import DecalibrationRange
+from uncal.models.estimator import PoseEstimator
 from uncal.models.heads import DisplacementHead, PoseHead
 from uncal.models.losses import displacement_loss, pose_loss, relative_error
 from uncal.models.mobilevit import CorrelationMobileViT, MobileViT
-from uncal.models.module import CalibrationModule, PoseEstimator, pass_seed
+from uncal.models.module import CalibrationModule
+from uncal.models.prediction import pass_seed
 from uncal.models.unical import UniCal
 from uncal.uncertainty.mc_dropout import MCDropout
 

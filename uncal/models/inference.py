@@ -7,7 +7,8 @@ from lightning import Trainer
 from tqdm import tqdm
 
 from uncal.data.datamodule import CalibrationDataModule
-from uncal.models.module import CalibrationModule, SplitPrediction, join_predictions, pass_seed
+from uncal.models.module import CalibrationModule
+from uncal.models.prediction import SplitPrediction, join_predictions, pass_seed
 
 
 def predict_split(
