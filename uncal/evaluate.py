@@ -31,6 +31,7 @@ def main(config: DictConfig) -> float:
     keep_freed_memory()
     quiet_libraries()
     recipe = read_recipe(Path(config.ckpt))
+    OmegaConf.set_struct(config, False)  # the recipe brings keys of its own
     run = OmegaConf.merge(config, recipe)
     if config.dataset.root is not None:
         run.dataset.root = run.dataset.recording.root = config.dataset.root

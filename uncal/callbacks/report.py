@@ -96,7 +96,7 @@ def run_notes(module: CalibrationModule, data: CalibrationDataModule) -> list[st
     rigs = {frame.rig for frame in data.splits["test"]}
     if data.split_by != "frame":
         notes.append(
-            f"The test frames come from {len(rigs)} rigs that neither training nor calibration "
+            f"The test frames come from {len(rigs)} rig(s) that neither training nor calibration "
             "has seen. Frames of one rig hang together, so the band of the exact law, which "
             "supposes exchangeable frames, is only a yardstick here."
             if data.split_by == "rig"

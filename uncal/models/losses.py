@@ -48,6 +48,7 @@ def relative_error(estimate: Tensor, target: Tensor) -> Tensor:
     Returns:
         (6,).
 
+    >>> import torch
     >>> relative_error(torch.zeros(2, 6), torch.ones(2, 6)).tolist()
     [1.0, 1.0, 1.0, 1.0, 1.0, 1.0]
     """
