@@ -1,8 +1,8 @@
 """Keep freed memory in the process: large tensors otherwise cost a page fault per 4 KiB, each step.
 
 glibc serves every block above 128 KiB to 32 MiB with a fresh ``mmap`` and gives it back when freed,
-so that each training step touches all its pages anew; in virtual machines that costs more than the
-arithmetic. Blocks kept on the heap are reused as they are.
+so that each training step touches all its pages anew; in virtual machines that can cost more than
+the arithmetic. Blocks kept on the heap are reused as they are.
 """
 
 from __future__ import annotations

@@ -5,6 +5,7 @@ from uncal.decalibration import DecalibrationRange, decalibrate
 from uncal.geometry import invert, pose_to_matrix, transform_points
 from uncal.models.geometric import (
     GeometricSolver,
+    GridPoints,
     displacement_jacobian,
     grid_points,
     true_displacement,
@@ -33,6 +34,13 @@ def scene(batch: int) -> tuple[Tensor, Tensor, Tensor]:
     T_init = decalibrate(T.expand(batch, 4, 4), target)
     seen = project(points, T_init, K.expand(batch, 3, 3), (80, 208))
     return seen.inverse_depth, T_init, target
+
+
+def perfect_map(points: GridPoints, camera: Tensor, T_init: Tensor, target: Tensor) -> Tensor:
+    """(B, 4, h, w) the true displacement, every cell equally trusted."""
+    truth = true_displacement(points.points_cam, camera, T_init, target)
+    displacement = truth.transpose(1, 2).reshape(-1, 2, *GRID)
+    return torch.cat([displacement, torch.zeros_like(displacement)], 1)
 
 
 def test_grid_points_lie_where_the_depth_image_says() -> None:
@@ -80,9 +88,7 @@ def test_a_perfect_map_gives_the_decalibration() -> None:
     inverse_depth, T_init, target = scene(8)
     camera = K.expand(8, 3, 3)
     points = grid_points(inverse_depth, camera, GRID)
-    truth = true_displacement(points.points_cam, camera, T_init, target)
-    flow = torch.zeros(8, 4, *GRID)
-    flow[:, :2] = truth.transpose(1, 2).reshape(-1, 2, *GRID)
+    flow = perfect_map(points, camera, T_init, target)
     pose = GeometricSolver(RANGE.bounds, ridge=1e-6)(flow, points, camera, T_init)
     # What is left is the second order of a 1° rotation.
     assert ((pose - target).abs().mean(0) / target.abs().mean(0)).max() < 0.05
@@ -92,9 +98,7 @@ def test_low_confidence_takes_cells_out() -> None:
     inverse_depth, T_init, target = scene(4)
     camera = K.expand(4, 3, 3)
     points = grid_points(inverse_depth, camera, GRID)
-    truth = true_displacement(points.points_cam, camera, T_init, target)
-    flow = torch.zeros(4, 4, *GRID)
-    flow[:, :2] = truth.transpose(1, 2).reshape(-1, 2, *GRID)
+    flow = perfect_map(points, camera, T_init, target)
     flow[:, :2, :, ::3] += 25.0
     solver = GeometricSolver(RANGE.bounds, ridge=1e-6)
     misled = (solver(flow, points, camera, T_init) - target).abs().mean()

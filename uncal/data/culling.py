@@ -22,7 +22,7 @@ _ROUNDING = 1e-5
 _BLOCK = 16_384
 """Points at a time. Buffers of this size stay in the cache and in the allocator (fresh pages for
 a whole sweep cost more than the arithmetic), and BLAS starts no threads, for which workers that
-fill the cores would have to wait: some ten times faster on a busy machine."""
+fill the cores would have to wait."""
 
 
 def frustum_mask(

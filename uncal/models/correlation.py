@@ -1,7 +1,7 @@
 """Where image edges and LiDAR edges agree, for every small displacement: a fixed front end.
 
 Convolutions add their inputs, but a displacement is found by multiplying them. Handing the network
-the local correlation of edges, which needs no learning, cuts the samples it needs many times over.
+the local correlation of edges, which needs no learning, spares it from learning to multiply.
 """
 
 from __future__ import annotations
