@@ -67,3 +67,18 @@ def test_identity_differences() -> None:
     assert then.differences(PredictorIdentity.of(network, passes=25)) == [
         "dropout layers: 1 then, 2 now"
     ]
+
+
+def test_identity_names_the_layers_that_are_on_and_the_masks() -> None:
+    network = _network()
+    random = PredictorIdentity.of(network, 25, rates={"2": 0.25})
+    assert random == PredictorIdentity.of(network, 25)
+    assert random.masks == ""
+    assert PredictorIdentity.of(network, 25, rates={}).rates == ()
+    fixed = PredictorIdentity.of(network, 25, masks="3f2a9c11d2e4b5f6")
+    assert random.differences(fixed) == ["masks: random then, fixed (3f2a9c11d2e4…) now"]
+    other = PredictorIdentity.of(network, 25, masks="00" * 8)
+    assert fixed.differences(other) == [
+        "masks: fixed (3f2a9c11d2e4…) then, fixed (000000000000…) now"
+    ]
+    assert fixed.differences(fixed) == []

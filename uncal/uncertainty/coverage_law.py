@@ -43,9 +43,10 @@ class DiscreteLaw(Protocol):
 def coverage_law(n: int, m: int, alpha: float | Fraction) -> DiscreteLaw:
     """Law of the number of covered samples among n test samples: Beta-Binomial(n, k, m+1-k).
 
-    k = ⌈(m+1)(1-α)⌉. Exact for one output when the m + n samples are exchangeable and their scores
-    have no ties, whatever their distribution; ties can only raise the coverage. With k > m the
-    interval is infinite and all n are covered.
+    k = ⌈(m+1)(1-α)⌉. Exact for one output, and for a joint box as a whole, when the m + n samples
+    are exchangeable and their scores have no ties, whatever their distribution; ties can only raise
+    the coverage. Within a group that has its own quantile it holds with that group's m and n. With
+    k > m the interval is infinite and all n are covered.
 
     Args:
         n: test samples.

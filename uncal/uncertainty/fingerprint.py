@@ -1,11 +1,13 @@
 """Recognise the predictor that a calibrator was fitted with.
 
-Scores are valid for one predictor only: these weights, this number of passes, these dropout rates.
+Scores are valid for one predictor only: these weights, this number of passes, these dropout rates,
+and these masks where they are fixed.
 """
 
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import torch
@@ -54,21 +56,37 @@ class PredictorIdentity:
     Attributes:
         weights: :func:`fingerprint` of the network.
         passes: number of stochastic passes N.
-        rates: p of every dropout layer, in module order.
+        rates: p of every dropout layer that is switched on, in module order.
+        masks: hexadecimal digest of the dropout masks if they are fixed; "" if every pass draws
+            fresh random ones.
     """
 
     weights: str
     passes: int
     rates: tuple[float, ...]
+    masks: str = ""
 
     @classmethod
-    def of(cls, network: nn.Module, passes: int) -> PredictorIdentity:
+    def of(
+        cls,
+        network: nn.Module,
+        passes: int,
+        rates: Mapping[str, float] | None = None,
+        masks: str = "",
+    ) -> PredictorIdentity:
         """Describe a network that is asked with ``passes`` stochastic passes.
+
+        Args:
+            network: the network alone.
+            passes: N.
+            rates: p by module name of the dropout layers that are switched on; None for all.
+            masks: digest of the fixed masks, if they are fixed.
 
         >>> PredictorIdentity.of(nn.Sequential(nn.Linear(1, 1), nn.Dropout(0.25)), 25).rates
         (0.25,)
         """
-        return cls(fingerprint(network), passes, tuple(dropout_rates(network).values()))
+        active = dropout_rates(network) if rates is None else rates
+        return cls(fingerprint(network), passes, tuple(active.values()), masks)
 
     def differences(self, other: PredictorIdentity) -> list[str]:
         """What keeps another predictor from being this one, in words; empty if nothing does.
@@ -95,4 +113,10 @@ class PredictorIdentity:
                 f"dropout rates: {len(changed)} of {len(self.rates)} changed, "
                 f"the first from {before:g} to {now:g}"
             )
+        if self.masks != other.masks:
+            found.append(f"masks: {_mask_words(self.masks)} then, {_mask_words(other.masks)} now")
         return found
+
+
+def _mask_words(masks: str) -> str:
+    return f"fixed ({masks[:12]}…)" if masks else "random"

@@ -1,36 +1,26 @@
-"""Monte Carlo dropout for any network: N stochastic passes as one replicated batch (eqs. 1-2)."""
+"""Monte Carlo dropout for any network: N stochastic passes, shared where nothing is random."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import dataclass
+import logging
+from collections.abc import Mapping, Sequence
 
 import torch
 from torch import Tensor, nn
 
 from uncal.errors import ConfigurationError
-from uncal.uncertainty.dropout import dropout_rates, only_dropout_active
+from uncal.uncertainty.dropout import dropout_layers, dropout_rates, only_active, rate_of
 from uncal.uncertainty.errors import UncertaintyError
 from uncal.uncertainty.fingerprint import PredictorIdentity
-from uncal.uncertainty.nested import iterate_tensors, map_tensors
+from uncal.uncertainty.masks import FixedMasks, row_seeds
+from uncal.uncertainty.passes import Arguments, Passes
+from uncal.uncertainty.prediction import Prediction
 
+__all__ = ["MCDropout", "Prediction"]
 
-@dataclass(frozen=True)
-class Prediction:
-    """Mean and spread of N stochastic passes (eq. 2).
+STRATEGIES = ("auto", "shared", "batch", "loop")
 
-    Attributes:
-        mean: (B, D) ŷ_mean, float32 or better.
-        std: (B, D) σ with 1/N as in the paper, not 1/(N-1).
-        passes: N.
-        samples: (N, B, D) the single passes, if they were asked for.
-    """
-
-    mean: Tensor
-    std: Tensor
-    passes: int
-    samples: Tensor | None = None
+log = logging.getLogger(__name__)
 
 
 class MCDropout:
@@ -38,19 +28,33 @@ class MCDropout:
 
     ŷ_i = f(x; θ_i), ŷ_mean = 1/N Σ ŷ_i, σ = √(1/N Σ (ŷ_i - ŷ_mean)²)   (paper, eqs. 1 and 2)
 
-    The N passes are one batch of N·B rows, so that every row gets a mask of its own. Exactly the
-    dropout layers are switched on, whatever mode the network is in (Lightning's validation and
-    test loops call ``eval()``); see :mod:`uncal.uncertainty.dropout` for those that can be found.
-    Not a module itself, so that holding one beside the network adds nothing to a ``state_dict``.
+    Exactly the dropout layers are switched on, whatever mode the network is in (Lightning's
+    validation and test loops call ``eval()``); see :mod:`uncal.uncertainty.dropout` for those that
+    can be found. Three strategies give the same samples up to rounding, because masks are a pure
+    function of (seed, layer, pass, row):
+
+    - ``loop``: one pass after the other;
+    - ``batch``: N·B rows at once, as in the paper;
+    - ``shared``: what lies before the first active dropout runs once, only the rest N times.
+
+    ``auto`` takes the first of shared, batch, loop that agrees with single rows looped on the
+    inputs at hand; the comparison costs a few passes, once per shape of the inputs. Not a module
+    itself, so that holding one beside the network adds nothing to a ``state_dict``.
 
     Args:
         network: maps arguments to a tensor (B, D).
         passes: N, at least 2.
-        chunk: most rows to push through the network at once when memory is short; None for all.
+        chunk: most rows to push through the network at once; "auto": as many as keep the working
+            set within the caches (a GPU: a fraction of its memory), by the layers' sizes alone, so
+            that results do not depend on the load of the machine; None: all.
+        strategy: one of the above.
+        masks: fixed masks, which make the prediction one deterministic function of its input;
+            None: fresh ones.
+        select: which dropout layers to activate, by name, pattern or type; None: all.
         keep_samples: return the single passes too.
 
     Raises:
-        ConfigurationError: ``passes`` below 2 or ``chunk`` below 1.
+        ConfigurationError: ``passes`` below 2, ``chunk`` below 1, or an unknown strategy.
 
     >>> network = nn.Sequential(nn.Linear(3, 8), nn.Dropout(0.5), nn.Linear(8, 2))
     >>> prediction = MCDropout(network, passes=25)(torch.ones(4, 3), seed=0)
@@ -62,8 +66,11 @@ class MCDropout:
         self,
         network: nn.Module,
         passes: int,
-        chunk: int | None = None,
+        chunk: int | str | None = "auto",
         *,
+        strategy: str = "auto",
+        masks: FixedMasks | None = None,
+        select: Sequence[str] | None = None,
         keep_samples: bool = False,
     ) -> None:
         """Check the settings; the network is looked at when called."""
@@ -71,26 +78,49 @@ class MCDropout:
             raise ConfigurationError(
                 f"{passes} stochastic passes give no spread; set at least 2 (the paper: 25)."
             )
-        if chunk is not None and chunk < 1:
-            raise ConfigurationError(f"chunk = {chunk} rows; set at least 1, or None for no limit.")
+        if chunk is not None and chunk != "auto" and (isinstance(chunk, str) or chunk < 1):
+            raise ConfigurationError(
+                f"chunk = {chunk} rows; set at least 1, auto, or null for no limit."
+            )
+        if strategy not in STRATEGIES:
+            raise ConfigurationError(
+                f"strategy = {strategy!r}; expected one of {', '.join(STRATEGIES)}"
+            )
         self.network = network
         self.passes = passes
         self.chunk = chunk
+        self.strategy = strategy
+        self.masks = masks
+        self.select = select
         self.keep_samples = keep_samples
+        self._chosen: dict[tuple[object, ...], tuple[str, int]] = {}
 
-    def identity(self) -> PredictorIdentity:
-        """What a calibrator remembers of this predictor, and compares before use."""
-        return PredictorIdentity.of(self.network, self.passes)
+    def identity(self, passes: int | None = None) -> PredictorIdentity:
+        """What a calibrator remembers of this predictor, and compares before use.
 
-    def __call__(self, *args: object, seed: int | None = None, **kwargs: object) -> Prediction:
+        Args:
+            passes: of :meth:`Prediction.first`; None: all.
+        """
+        return PredictorIdentity.of(
+            self.network,
+            passes or self.passes,
+            rates=dropout_rates(self.network, self.select),
+            masks="" if self.masks is None else self.masks.digest(),
+        )
+
+    def __call__(
+        self, *args: object, seed: int | Sequence[int] | None = None, **kwargs: object
+    ) -> Prediction:
         """Run the passes.
 
         Args:
             *args: the network's arguments. The first tensor found tells the batch size B; every
-                tensor whose first dimension is B is replicated, also inside tuples, lists and
-                dicts; everything else is passed on as it is.
-            seed: makes the result a pure function of weights, inputs, seed and chunk, and leaves
-                the global random state (CPU and the inputs' GPU) untouched.
+                tensor whose first dimension is B is replicated, also inside tuples, lists, dicts
+                and dataclasses; everything else is passed on as it is.
+            seed: makes the result a pure function of weights, inputs and seed, and leaves the
+                global random state (CPU and the inputs' GPU) untouched. One integer for the whole
+                batch, or one for each row: then a row's result does not depend, up to rounding,
+                on the batch that it is in.
             **kwargs: the network's keyword arguments, treated alike.
 
         Returns:
@@ -99,94 +129,93 @@ class MCDropout:
         Raises:
             ConfigurationError: no dropout layer of the network is active.
             UncertaintyError: no batch among the arguments, an output that is not one row per
-                input row, or σ = 0 everywhere.
+                input row, σ = 0 everywhere, a strategy that does not fit the network, or fixed
+                masks for inputs of another size.
         """
-        rates = dropout_rates(self.network)
-        if not any(rate > 0 for rate in rates.values()):
+        arguments = Arguments.of(args, kwargs)
+        active = self._active_layers()
+        seeds = self._row_seeds(seed, arguments)
+        run = Passes(_plain(self.network), active, self.masks, seeds)
+        with torch.inference_mode(), only_active(self.network, list(active.values())), run:
+            strategy, chunk = self._plan(run, arguments)
+            samples = run.sample(strategy, chunk, range(self.passes), arguments)
+        # A copy outside inference mode can be used with autograd.
+        samples = samples.clone()
+        prediction = Prediction.of(samples, self.keep_samples)
+        self._check_spread(prediction, samples)
+        return prediction
+
+    def plan(self) -> dict[tuple[object, ...], tuple[str, int]]:
+        """Strategy and rows per call in use, by the inputs' shapes and types."""
+        return dict(self._chosen)
+
+    def _active_layers(self) -> Mapping[str, nn.Module]:
+        layers = dropout_layers(_plain(self.network), self.select)
+        active = {name: layer for name, layer in layers.items() if rate_of(layer) > 0}
+        if not active:
             raise ConfigurationError(
                 f"{type(self.network).__name__} has no active dropout layer "
-                f"({len(rates)} found, p = 0 in all of them): MC dropout would see no spread. Set "
-                "p > 0 or add nn.Dropout modules (functional dropout cannot be switched on)."
+                f"({len(layers)} found, p = 0 in all of them): MC dropout would see no spread. Set "
+                "p > 0, add nn.Dropout modules (functional dropout cannot be switched on), or put "
+                "some in with uncal.uncertainty.insert_dropout."
             )
-        first = next(iterate_tensors((args, kwargs)), None)
-        if first is None or len(first) == 0:
+        return active
+
+    def _row_seeds(self, seed: int | Sequence[int] | None, arguments: Arguments) -> Tensor:
+        """(B,) on the inputs' device."""
+        if seed is None:
+            seed = int(torch.randint(-(2**63), 2**63 - 1, ()))
+        if isinstance(seed, int):
+            return row_seeds(seed, arguments.batch).to(arguments.device)
+        if len(seed) != arguments.batch:
             raise UncertaintyError(
-                "MC dropout needs a batch: a tensor argument with at least one row, got "
-                + ("no tensor." if first is None else f"shape {tuple(first.shape)}.")
+                f"{len(seed)} seeds for a batch of {arguments.batch}: give one integer, or one for "
+                "each row"
             )
-        with only_dropout_active(self.network), _seeded(seed, first.device):
-            samples = self._sample(args, kwargs, len(first))
-        std, mean = torch.std_mean(samples, dim=0, correction=0)
+        return torch.cat([row_seeds(each, 1) for each in seed]).to(arguments.device)
+
+    def _plan(self, run: Passes, arguments: Arguments) -> tuple[str, int]:
+        """Strategy and most rows per call for inputs of these shapes."""
+        key = arguments.signature()
+        if key not in self._chosen:
+            strategy = self._choose(run, arguments)
+            limit = run.auto_chunk() if self.chunk == "auto" else self.chunk
+            rows = self.passes * arguments.batch if limit is None else int(limit)
+            self._chosen[key] = strategy, rows
+            log.debug("%s: strategy %s, %d rows", type(self.network).__name__, strategy, rows)
+        return self._chosen[key]
+
+    def _choose(self, run: Passes, arguments: Arguments) -> str:
+        wanted = ("shared", "batch", "loop") if self.strategy == "auto" else (self.strategy,)
+        for strategy in wanted:
+            problem = run.disagreement(strategy, arguments)
+            if problem is None:
+                return strategy
+            if strategy == wanted[-1]:
+                raise UncertaintyError(
+                    f"strategy {strategy} does not fit {type(self.network).__name__}: {problem}. "
+                    + (
+                        "Rows seem to influence each other."
+                        if strategy == "loop"
+                        else "Use strategy auto or loop (mcd.strategy)."
+                    )
+                )
+            log.info("%s: not %s: %s", type(self.network).__name__, strategy, problem)
+        raise AssertionError("one strategy is always wanted")
+
+    def _check_spread(self, prediction: Prediction, samples: Tensor) -> None:
         # Rows of one batch may differ in the last bits without any dropout: rounding is no spread.
         rounding = 4 * torch.finfo(torch.float32).eps * samples.abs().amax(0)
-        if (std <= rounding).all():
+        if (prediction.std <= rounding).all():
             raise UncertaintyError(
-                f"σ = 0 for all {mean.numel()} outputs over {self.passes} passes although "
-                f"{type(self.network).__name__} has active dropout layers: their effect does not "
-                "reach the output (a layer off the path, an output clamp, or features that vanish "
-                "because the network is not trained yet)."
+                f"σ = 0 for all {prediction.mean.numel()} outputs over {self.passes} passes "
+                f"although {type(self.network).__name__} has active dropout layers: their effect "
+                "does not reach the output (a layer off the path, an output clamp, or features "
+                "that vanish because the network is not trained yet)."
             )
-        return Prediction(mean, std, self.passes, samples if self.keep_samples else None)
-
-    def _sample(self, args: tuple[object, ...], kwargs: Mapping[str, object], batch: int) -> Tensor:
-        """(N, B, D) single passes, in at most ``chunk`` rows at a time."""
-        limit = self.chunk or self.passes * batch
-        rows = min(batch, limit)
-        columns = []
-        for start in range(0, batch, rows):
-            part = slice(start, min(start + rows, batch))
-            group = limit // (part.stop - start)
-            runs = [
-                self._run(args, kwargs, batch, part, min(group, self.passes - done))
-                for done in range(0, self.passes, group)
-            ]
-            columns.append(torch.cat(runs))
-        return torch.cat(columns, dim=1)
-
-    def _run(
-        self,
-        args: tuple[object, ...],
-        kwargs: Mapping[str, object],
-        batch: int,
-        part: slice,
-        times: int,
-    ) -> Tensor:
-        """(times, rows, D): one call of the network with some rows, each ``times`` times."""
-
-        def replicate(value: Tensor) -> Tensor:
-            if value.ndim == 0 or len(value) != batch:
-                return value
-            # cat, unlike expand + reshape, keeps channels_last.
-            return torch.cat([value[part]] * times)
-
-        with torch.inference_mode():
-            output = self.network(
-                *(map_tensors(value, replicate) for value in args),
-                **{name: map_tensors(value, replicate) for name, value in kwargs.items()},
-            )
-        rows = times * (part.stop - part.start)
-        if not isinstance(output, Tensor) or output.ndim == 0 or len(output) != rows:
-            got = tuple(output.shape) if isinstance(output, Tensor) else type(output).__name__
-            raise UncertaintyError(
-                f"{type(self.network).__name__} returned {got} for {rows} rows; MC dropout needs "
-                "one tensor with one row per input row (wrap the network to select its output)."
-            )
-        # Half precision is too coarse for a variance; the copy also leaves inference mode behind.
-        precise = output.to(torch.promote_types(output.dtype, torch.float32), copy=True)
-        return precise.reshape(times, -1, *precise.shape[1:])
 
 
-@contextmanager
-def _seeded(seed: int | None, device: torch.device) -> Iterator[None]:
-    """Draw from a seed and put the random state back; without a seed, do nothing."""
-    if seed is None:
-        yield
-        return
-    cuda = device.type == "cuda"
-    with torch.random.fork_rng(devices=[device] if cuda else []):
-        # torch.manual_seed would seed every GPU, and only this one is put back.
-        torch.default_generator.manual_seed(seed)
-        if cuda:
-            with torch.cuda.device(device):
-                torch.cuda.manual_seed(seed)
-        yield
+def _plain(network: nn.Module) -> nn.Module:
+    """The network inside torch.compile's wrapper, whose compiled code knows no masks."""
+    inner = getattr(network, "_orig_mod", network)
+    return inner if isinstance(inner, nn.Module) else network

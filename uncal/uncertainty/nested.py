@@ -1,8 +1,10 @@
-"""Tensors inside the arguments of a network: nested tuples, lists and dicts."""
+"""Tensors inside the arguments and outputs of a network: tuples, lists, dicts, dataclasses."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+import copy
+import dataclasses
+from collections.abc import Callable, Iterator, Mapping, MutableMapping
 
 from torch import Tensor
 
@@ -23,6 +25,9 @@ def iterate_tensors(tree: object) -> Iterator[Tensor]:
     elif isinstance(tree, (tuple, list)):
         for value in tree:
             yield from iterate_tensors(value)
+    elif dataclasses.is_dataclass(tree) and not isinstance(tree, type):
+        for field in dataclasses.fields(tree):
+            yield from iterate_tensors(getattr(tree, field.name))
 
 
 def map_tensors(tree: object, function: Callable[[Tensor], Tensor]) -> object:
@@ -34,6 +39,13 @@ def map_tensors(tree: object, function: Callable[[Tensor], Tensor]) -> object:
     """
     if isinstance(tree, Tensor):
         return function(tree)
+    if type(tree) is dict:
+        return {key: map_tensors(value, function) for key, value in tree.items()}
+    if isinstance(tree, MutableMapping):  # such as transformers' ModelOutput
+        mapped = copy.copy(tree)
+        for key, value in tree.items():
+            mapped[key] = map_tensors(value, function)
+        return mapped
     if isinstance(tree, Mapping):
         return {key: map_tensors(value, function) for key, value in tree.items()}
     if isinstance(tree, tuple):
@@ -42,4 +54,28 @@ def map_tensors(tree: object, function: Callable[[Tensor], Tensor]) -> object:
         return values if make is None else make(values)
     if isinstance(tree, list):
         return [map_tensors(value, function) for value in tree]
+    if dataclasses.is_dataclass(tree) and not isinstance(tree, type):
+        fields = {
+            field.name: map_tensors(getattr(tree, field.name), function)
+            for field in dataclasses.fields(tree)
+            if field.init
+        }
+        return dataclasses.replace(tree, **fields)
     return tree
+
+
+def is_mappable(tree: object) -> bool:
+    """Whether :func:`map_tensors` reaches all that such a value can hold.
+
+    >>> is_mappable(("name", [1.0, None])), is_mappable(object())
+    (True, False)
+    """
+    if tree is None or isinstance(tree, Tensor | str | bytes | bool | int | float):
+        return True
+    if isinstance(tree, Mapping):
+        return all(is_mappable(value) for value in tree.values())
+    if isinstance(tree, tuple | list):
+        return all(is_mappable(value) for value in tree)
+    if dataclasses.is_dataclass(tree) and not isinstance(tree, type):
+        return all(is_mappable(getattr(tree, field.name)) for field in dataclasses.fields(tree))
+    return False

@@ -10,11 +10,11 @@ import torch
 from torch import Tensor
 
 
-def miscoverage(level: float) -> Fraction:
+def miscoverage(level: float | Fraction) -> Fraction:
     """α = 1 - level, exactly: in floating point 1 - 0.9 is less than 0.1 and costs a rank.
 
     Args:
-        level: coverage level 1-α, as written in decimal, in (0, 1).
+        level: coverage level 1-α in (0, 1); a float counts as the decimal number it prints as.
 
     Raises:
         ValueError: a level outside (0, 1).
@@ -94,13 +94,28 @@ def conformal_quantile(scores: Tensor, alpha: float | Fraction) -> Tensor:
     return scores.kthvalue(rank, dim=0).values
 
 
-def warn_too_few(m: int, alpha: float | Fraction, stacklevel: int = 2) -> None:
-    """Say that m samples allow no finite interval at this level, and how many are missing."""
-    needed = samples_needed(alpha)
+def warn_too_few(
+    m: int,
+    alpha: float | Fraction,
+    stacklevel: int = 2,
+    *,
+    what: str = "samples in the uncertainty calibration set",
+    needed: int | None = None,
+) -> None:
+    """Say that m samples allow no finite interval at this level, and how many are missing.
+
+    Args:
+        m: samples at hand.
+        alpha: miscoverage level α of the interval.
+        stacklevel: as of :func:`warnings.warn`.
+        what: what is counted, in words.
+        needed: how many it takes; None for :func:`samples_needed`.
+    """
+    needed = samples_needed(alpha) if needed is None else needed
     level = 100 * (1 - Fraction(str(alpha)))
     warnings.warn(
-        f"{m} samples in the uncertainty calibration set are too few for a {float(level):g}% "
-        f"interval: it needs {needed}, {needed - m} more. The interval is infinite.",
+        f"{m} {what} are too few for a {float(level):g}% interval: it needs {needed}, "
+        f"{needed - m} more. The interval is infinite.",
         stacklevel=stacklevel,
     )
 

@@ -1,0 +1,80 @@
+"""A tensor repeated N times along the batch that is not copied until something computes with it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.utils._pytree import tree_map_only
+
+_ATTRIBUTES = ("shape", "dtype", "device", "ndim")
+_QUESTIONS = {
+    *(getattr(Tensor, name).__get__ for name in _ATTRIBUTES),
+    Tensor.size,
+    Tensor.dim,
+    Tensor.numel,
+    Tensor.__len__,
+    Tensor.is_floating_point,
+}
+"""What can be answered without the values."""
+
+
+class Replicated(Tensor):
+    """N copies of a batch, one after the other: row i of copy n is row n·B + i.
+
+    A module whose output is already known ignores its argument, which then need not exist.
+
+    >>> lazy = Replicated(torch.tensor([[1.0], [2.0]]), times=2)
+    >>> tuple(lazy.shape), (lazy + 1).tolist()
+    ((4, 1), [[2.0], [3.0], [2.0], [3.0]])
+    """
+
+    source: Tensor
+    times: int
+    axis: int
+
+    @staticmethod
+    def __new__(cls, source: Tensor, times: int, axis: int = 0) -> Replicated:
+        """Remember the source, (B, ...) or, with axis 1, (length, B, ...); nothing is copied."""
+        shape = [times * n if i == axis else n for i, n in enumerate(source.shape)]
+        lazy: Replicated = torch.Tensor._make_wrapper_subclass(
+            cls, shape, dtype=source.dtype, device=source.device
+        )
+        lazy.source, lazy.times, lazy.axis = source, times, axis
+        return lazy
+
+    def materialise(self) -> Tensor:
+        """The copies, a new tensor that may be written to."""
+        # cat, unlike expand + reshape, keeps channels_last.
+        return torch.cat([self.source] * self.times, self.axis)
+
+    @classmethod
+    def __torch_function__(
+        cls,
+        func: Callable[..., Any],
+        types: Sequence[type],
+        args: tuple[Any, ...] = (),
+        kwargs: Mapping[str, Any] | None = None,
+    ) -> Any:
+        """Answer questions about the shape; make the copies for everything else."""
+        with torch._C.DisableTorchFunctionSubclass():
+            if func in _QUESTIONS:
+                return func(*args, **(kwargs or {}))
+        return func(*_copied(args), **_copied(dict(kwargs or {})))
+
+    @classmethod
+    def __torch_dispatch__(  # type: ignore[override]
+        cls,
+        func: Callable[..., Any],
+        types: Sequence[type],
+        args: tuple[Any, ...] = (),
+        kwargs: Mapping[str, Any] | None = None,
+    ) -> Any:
+        """The same, where torch's C++ code comes across the copies by itself."""
+        return func(*_copied(args), **_copied(dict(kwargs or {})))
+
+
+def _copied(tree: Any) -> Any:
+    return tree_map_only(Replicated, Replicated.materialise, tree)

@@ -1,0 +1,136 @@
+"""What lies before the first dropout of a network, run once for all passes.
+
+The network runs up to its first active dropout layer while the outputs of all modules without
+dropout inside are kept; in the passes those modules answer with what they returned. No graph is
+traced, so any Python in ``forward`` will do. Operations between the modules (a residual sum, a
+reshape) are done again per pass; that is the price, small where the work is in modules.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from contextlib import AbstractContextManager
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from uncal.uncertainty.nested import is_mappable, iterate_tensors, map_tensors
+from uncal.uncertainty.replicated import Replicated
+from uncal.uncertainty.stochastic_layers import (
+    FirstDropout,
+    Forward,
+    batch_axis,
+    replaced_forwards,
+)
+
+
+class DivergedError(Exception):
+    """The network took another way than when its prefix was recorded."""
+
+
+class _Known(NamedTuple):
+    module: nn.Module
+    output: object
+
+
+def _source(tensor: Tensor) -> Tensor:
+    return tensor.source if isinstance(tensor, Replicated) else tensor
+
+
+class SharedPrefix:
+    """Remembers outputs of the modules that run before the first dropout.
+
+    Args:
+        network: the network.
+        active: its active dropout layers.
+    """
+
+    def __init__(self, network: nn.Module, active: Iterable[nn.Module]) -> None:
+        stochastic = set(active)
+        self._pure = [
+            module
+            for module in network.modules()
+            if not isinstance(module, torch.jit.ScriptModule)
+            and stochastic.isdisjoint(module.modules())
+        ]
+        self._log: list[_Known] = []
+        self._recording = self._replaying = False
+        self._position = self._depth = self._times = self._rows = 0
+
+    def installed(self) -> AbstractContextManager[None]:
+        """Replace the modules' forward, and put it back on leaving."""
+        return replaced_forwards({module: self._forward_of(module) for module in self._pure})
+
+    def record(self, run: Callable[[], object], rows: int) -> None:
+        """Run the network up to its first dropout.
+
+        Args:
+            run: calls the network; a dropout layer ends it by :class:`FirstDropout`.
+            rows: B, of its batch.
+        """
+        self._log.clear()
+        self._recording, self._rows, self._depth = True, rows, 0
+        try:
+            run()
+        except FirstDropout:
+            pass
+        finally:
+            self._recording = False
+
+    def replay(self, run: Callable[[], object], times: int) -> object:
+        """Run the network with what is known put in, replicated.
+
+        Args:
+            run: calls the network with a replicated batch.
+            times: how often it is replicated.
+
+        Returns:
+            What ``run`` returns.
+
+        Raises:
+            DivergedError: the modules are not called in the order in which they were recorded.
+        """
+        self._replaying, self._times = True, times
+        self._position = self._depth = 0
+        try:
+            return run()
+        finally:
+            self._replaying = False
+
+    def clear(self) -> None:
+        """Let go of the remembered tensors."""
+        self._log.clear()
+
+    def _forward_of(self, module: nn.Module) -> Forward:
+        original = module.forward
+
+        def forward(*args: object, **kwargs: object) -> object:
+            if self._depth == 0 and self._replaying and self._position < len(self._log):
+                known = self._log[self._position]
+                if known.module is not module:
+                    raise DivergedError(type(module).__name__)
+                self._position += 1
+                if is_mappable(known.output):
+                    return map_tensors(known.output, self._replicate)
+            elif self._replaying and self._position == len(self._log):
+                tensors = list(iterate_tensors((args, kwargs)))
+                if tensors and all(isinstance(tensor, Replicated) for tensor in tensors):
+                    # Behind the first dropout, but on a branch of its own that none has reached.
+                    args, kwargs = map_tensors((args, kwargs), _source)  # type: ignore[misc]
+                    return map_tensors(original(*args, **kwargs), self._replicate)
+            self._depth += 1
+            try:
+                output = original(*args, **kwargs)
+            finally:
+                self._depth -= 1
+            if self._recording and self._depth == 0:
+                self._log.append(_Known(module, output))
+            return output
+
+        return forward
+
+    def _replicate(self, value: Tensor) -> Tensor:
+        """Repeat along the batch, wherever it is; keep what has none."""
+        axis = batch_axis(value.shape, self._rows)
+        return value if axis is None else Replicated(value, self._times, axis)
