@@ -124,6 +124,66 @@ def test_evaluation_of_the_checkpoint_gives_the_same_bytes(demo: object, workpla
     assert first.read_bytes() == again.read_bytes()
 
 
+def evaluate(cwd: Path, folder: str, *overrides: str) -> list[dict[str, str]]:
+    finished = run(
+        "uncal.evaluate",
+        "ckpt=first/checkpoints/best.ckpt",
+        f"hydra.run.dir={folder}",
+        *overrides,
+        cwd=cwd,
+    )
+    assert finished.returncode == 0, finished.stderr[-4000:]
+    return rows(cwd / folder / "results.csv")
+
+
+def test_two_processes_calibrate_and_test_like_one(demo: object, workplace: Path) -> None:
+    # Other passes than in training, so that both calibrate anew; 4 test frames for 2 processes.
+    one = evaluate(workplace, "one", "mcd.passes=6", "interval.levels=[0.5]", "interval=conformal")
+    two = evaluate(
+        workplace,
+        "two",
+        "mcd.passes=6",
+        "interval.levels=[0.5]",
+        "interval=conformal",
+        "trainer.devices=2",
+        "trainer.strategy=ddp",
+    )
+    assert len(one) == len(two) == len(DOF_NAMES)
+    for a, b in zip(one, two, strict=True):
+        for key, value in a.items():
+            if key in ("dof", "unit", "in_band"):
+                assert b[key] == value
+            else:
+                assert float(b[key]) == pytest.approx(float(value), rel=1e-4)
+        assert math.isfinite(float(a["mpiw"]))
+
+
+@pytest.mark.parametrize("interval", ["gaussian", "absolute", "mondrian", "hierarchical"])
+def test_the_same_weights_with_other_intervals(
+    demo: object, workplace: Path, interval: str
+) -> None:
+    before = rows(workplace / "first" / "results.csv")
+    after = evaluate(workplace, interval, f"interval={interval}", "mcd.masks=fixed")
+    assert [row["mae_before"] for row in after] == [row["mae_before"] for row in before]
+    finite = {math.isfinite(float(row["mpiw"])) for row in after}
+    assert finite == {interval == "gaussian"}
+    markdown = (workplace / interval / "results.md").read_text(encoding="utf-8")
+    assert f"fixed masks, intervals of kind {interval}" in markdown
+
+
+def test_quantile_regression_needs_its_head(workplace: Path) -> None:
+    finished = train(workplace, "no_head", "interval=cqr")
+    assert finished.returncode == 1
+    assert "model/head=quantile" in finished.stderr
+    assert "Traceback" not in finished.stderr
+
+
+def test_quantile_regression_runs_with_it(demo: object, workplace: Path) -> None:
+    finished = train(workplace, "cqr", "interval=cqr", "model/head=quantile")
+    assert finished.returncode == 0, finished.stderr[-4000:]
+    assert "intervals of kind quantile" in (workplace / "cqr" / "results.md").read_text(encoding="utf-8")
+
+
 def test_a_second_run_reuses_the_simulation_and_a_resumed_one_goes_on(
     demo: object, workplace: Path
 ) -> None:

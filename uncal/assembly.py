@@ -4,21 +4,32 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import cast
 
 import lightning
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
+from torch import nn
 
 from uncal.data.datamodule import CalibrationDataModule
+from uncal.decalibration import DecalibrationRange
 from uncal.errors import ConfigurationError
+from uncal.geometry import DOF_NAMES
 from uncal.models.module import CalibrationModule
 from uncal.recordings.frame import Recording
 from uncal.simulation.cache import ensure_simulated
 from uncal.simulation.settings import SimulationSettings
+from uncal.uncertainty.calibrator import IntervalCalibrator
+from uncal.uncertainty.dropout import insert_dropout
+from uncal.uncertainty.masks import FixedMasks
+from uncal.uncertainty.mc_dropout import MCDropout
 
 log = logging.getLogger(__name__)
+
+MCD_KEYS = ("passes", "strategy", "chunk", "masks", "layers", "insert")
+INTERVAL_KEYS = ("levels", "sigma_floor", "groups", "quantile_levels", "calibrator")
 
 RECIPE = ("seed", "dataset", "model", "split", "mcd", "interval", "decalibration", "augmentation")
 """The parts of a configuration that a checkpoint carries: what another process needs to use it."""
@@ -68,19 +79,26 @@ def build_module(config: DictConfig) -> CalibrationModule:
         ConfigurationError: a setting is unknown or out of its range.
     """
     model = config.model
-    refuse_unknown("mcd", config.mcd, ("passes", "chunk"))
-    refuse_unknown("interval", config.interval, ("levels", "sigma_floor"))
+    refuse_unknown("mcd", config.mcd, MCD_KEYS)
+    refuse_unknown("interval", config.interval, INTERVAL_KEYS)
     inputs = instantiate(model.inputs)
+    network = instantiate(model.network, in_channels=inputs.n_channels)
+    if config.mcd.insert is not None:
+        added = insert_dropout(network, **instantiate(config.mcd.insert))
+        log.info("dropout inserted: %s", ", ".join(added))
+    decalibration: DecalibrationRange = instantiate(config.decalibration)
     module = CalibrationModule(
-        network=instantiate(model.network, in_channels=inputs.n_channels),
-        decalibration=instantiate(config.decalibration),
+        network=network,
+        decalibration=decalibration,
         optimizer=instantiate(model.optimization.optimizer),
         warmup_fraction=model.optimization.warmup_fraction,
         displacement_weight=model.displacement_weight,
         ridge=model.ridge,
-        passes=config.mcd.passes,
-        chunk=config.mcd.chunk,
-        sigma_floor=config.interval.sigma_floor,
+        quantile_levels=tuple(config.interval.quantile_levels),
+        engine=partial(_engine, config.mcd),
+        fixed_masks=choice("mcd.masks", config.mcd.masks, ("random", "fixed")) == "fixed",
+        calibrator=_calibrator(config, decalibration),
+        groups=choice("interval.groups", config.interval.groups, ("rig", "drive")),
         seed=config.seed,
     )
     module.recipe = cast(
@@ -88,6 +106,26 @@ def build_module(config: DictConfig) -> CalibrationModule:
         {key: _plain(config[key]) for key in RECIPE},
     )
     return module
+
+
+def _engine(mcd: DictConfig, network: nn.Module, masks: FixedMasks | None) -> MCDropout:
+    layers = None if mcd.layers is None else list(mcd.layers)
+    return MCDropout(
+        network, mcd.passes, mcd.chunk, strategy=mcd.strategy, masks=masks, select=layers
+    )
+
+
+def _calibrator(config: DictConfig, decalibration: DecalibrationRange) -> IntervalCalibrator:
+    make = instantiate(config.interval.calibrator)
+    kind = make.func
+    if kind.needs_bounds and "quantile" not in str(config.model.head.get("_target_", "")).lower():
+        raise ConfigurationError(
+            f"interval: {kind.__name__} widens quantiles that the network gives, and this head "
+            "gives none: add model/head=quantile"
+        )
+    # Without σ the joint score would compare metres with radians.
+    scales = {} if kind.needs_std else {"scales": decalibration.bounds.tolist()}
+    return cast(IntervalCalibrator, make(names=DOF_NAMES, **scales))
 
 
 def build_trainer(config: DictConfig) -> lightning.Trainer:
@@ -110,6 +148,22 @@ def build_trainer(config: DictConfig) -> lightning.Trainer:
         check_val_every_n_epoch=every,
     )
     return trainer
+
+
+def choice(name: str, value: str, known: Sequence[str]) -> str:
+    """One of a few words.
+
+    Args:
+        name: of the key, for the message.
+        value: what the configuration says.
+        known: what is possible.
+
+    Raises:
+        ConfigurationError: anything else.
+    """
+    if value not in known:
+        raise ConfigurationError(f"{name}={value}: expected {' or '.join(known)}")
+    return value
 
 
 def refuse_unknown(name: str, section: DictConfig, known: Sequence[str]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 from typing import cast
 
@@ -15,6 +16,9 @@ from uncal.callbacks.report import Report
 from uncal.configuration import CONFIG_DIR, exits_on_error, quiet_libraries
 from uncal.errors import ConfigurationError
 from uncal.memory import keep_freed_memory
+from uncal.models.module import CalibrationModule
+
+log = logging.getLogger(__name__)
 
 
 @hydra.main(version_base="1.3", config_path=CONFIG_DIR, config_name="evaluate")
@@ -38,12 +42,40 @@ def main(config: DictConfig) -> float:
     if config.dataset.workers is not None:
         run.dataset.loader.workers = config.dataset.workers
     run = cast(DictConfig, run)
+    asked = {key: value for key, value in config.mcd.items() if value is not None}
+    run.mcd = OmegaConf.merge(recipe.mcd, asked)
+    if config.get("interval") is None:
+        run.interval = recipe.interval
+    else:
+        run.interval = config.interval
+        log.info("intervals by %s", run.interval.calibrator._target_)
     lightning.seed_everything(run.seed, workers=True, verbose=False)
     data = build_data(run)
     module = build_module(run)
+    load_weights(module, Path(config.ckpt), calibrated=run.interval == recipe.interval)
     trainer = build_trainer(run)
-    trainer.test(module, datamodule=data, ckpt_path=config.ckpt, verbose=False)
-    return Report.of(trainer).summary.mean_ratio
+    trainer.test(module, datamodule=data, verbose=False)
+    return Report.of(trainer).results.summary.mean_ratio
+
+
+def load_weights(module: CalibrationModule, path: Path, calibrated: bool) -> None:
+    """Load a checkpoint's weights.
+
+    Args:
+        module: of the same network.
+        path: the checkpoint.
+        calibrated: whether its calibrator is of the module's kind, and wanted.
+    """
+    state = torch.load(path, map_location="cpu", weights_only=True)["state_dict"]
+    own = [key for key in state if key.startswith(("calibrator.", "masks."))]
+    if not calibrated:
+        state = {key: value for key, value in state.items() if key not in own}
+    elif module.masks is None:
+        state.pop("masks.seed", None)
+    missing, unknown = module.load_state_dict(state, strict=False)
+    wrong = [key for key in (*missing, *unknown) if not key.startswith(("calibrator.", "masks."))]
+    if wrong:
+        raise ConfigurationError(f"ckpt={path}: {', '.join(wrong[:3])}: not of this network")
 
 
 def read_recipe(path: Path) -> DictConfig:

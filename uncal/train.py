@@ -44,7 +44,7 @@ def main(config: DictConfig) -> float:
             f"{config.callbacks.checkpoint.dirpath}/last.ckpt and the same settings"
         ) from stop
     trainer.test(module, datamodule=data, ckpt_path=best_checkpoint(trainer), verbose=False)
-    return Report.of(trainer).summary.mean_ratio
+    return Report.of(trainer).results.summary.mean_ratio
 
 
 def best_checkpoint(trainer: lightning.Trainer) -> str:

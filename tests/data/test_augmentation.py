@@ -13,6 +13,7 @@ def batch(n: int) -> Batch:
     torch.manual_seed(0)
     xyz = torch.rand(n, 4000, 3) * torch.tensor([30.0, 30.0, 8.0]) - torch.tensor([0.0, 15.0, 4.0])
     return Batch(
+        place=torch.arange(n),
         frames=[FrameId("rig", "drive", i) for i in range(n)],
         image=torch.randint(0, 256, (n, 3, 40, 64), dtype=torch.uint8),
         points=torch.cat([xyz, torch.rand(n, 4000, 1)], -1),

@@ -201,6 +201,7 @@ def test_bounds_out_of_range(bounds: tuple[float, float]) -> None:
 def test_real_sweeps_are_culled_to_a_fifth(kitti_frames: list[Frame]) -> None:
     for frame in kitti_frames:
         points = frame.points[:, :3]
+        assert frame.image is not None
         size = frame.image.shape[:2]
         mask = frustum_mask(points, frame.T_cam_lidar, frame.K, size, *BOUNDS[0])
         assert 0.1 < mask.mean() < 0.25

@@ -5,6 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 import torch
+from crepes import ConformalRegressor  # type: ignore[import-untyped]
 from mapie.metrics.regression import (  # type: ignore[import-untyped]
     regression_coverage_score,
     regression_mean_width_score,
@@ -47,6 +48,22 @@ def test_against_mapie(level: float) -> None:
     assert interval_score(low, high, truth, alpha=1 - level).item() == pytest.approx(
         regression_mwi_score(target, pairs, level), rel=1e-12
     )
+
+
+def test_against_crepes() -> None:
+    # Each library judges the intervals that crepes makes: coverage and mean width.
+    rng = np.random.default_rng(1)
+    sigma, estimate = rng.exponential(1.0, 400) + 0.1, rng.normal(size=400)
+    target = estimate + sigma * rng.standard_t(3, 400)
+    regressor = ConformalRegressor().fit((target - estimate)[:200], sigmas=sigma[:200])
+    test = {"sigmas": sigma[200:], "confidence": 0.85}
+    judged = regressor.evaluate(estimate[200:], target[200:], metrics=["error", "eff_mean"], **test)
+    pairs = torch.from_numpy(regressor.predict_int(estimate[200:], **test))
+    lower, upper = pairs.unbind(1)
+    found = picp(lower, upper, torch.from_numpy(target[200:])).item()
+    assert found == pytest.approx(1 - judged["error"])
+    assert 0.7 < found < 1
+    assert mpiw(lower, upper).item() == pytest.approx(judged["eff_mean"])
 
 
 def test_infinite_intervals_cover_and_cost_infinitely() -> None:

@@ -6,6 +6,7 @@ from uncal.geometry import invert, pose_to_matrix, transform_points
 from uncal.models.geometric import (
     GeometricSolver,
     GridPoints,
+    PointGeometry,
     displacement_jacobian,
     grid_points,
     true_displacement,
@@ -89,7 +90,8 @@ def test_a_perfect_map_gives_the_decalibration() -> None:
     camera = K.expand(8, 3, 3)
     points = grid_points(inverse_depth, camera, GRID)
     flow = perfect_map(points, camera, T_init, target)
-    pose = GeometricSolver(RANGE.bounds, ridge=1e-6)(flow, points, camera, T_init)
+    geometry = PointGeometry(RANGE.bounds)(inverse_depth, camera, T_init, GRID)
+    pose = GeometricSolver(RANGE.bounds, ridge=1e-6)(flow, geometry)
     # What is left is the second order of a 1° rotation.
     assert ((pose - target).abs().mean(0) / target.abs().mean(0)).max() < 0.05
 
@@ -100,16 +102,18 @@ def test_low_confidence_takes_cells_out() -> None:
     points = grid_points(inverse_depth, camera, GRID)
     flow = perfect_map(points, camera, T_init, target)
     flow[:, :2, :, ::3] += 25.0
+    geometry = PointGeometry(RANGE.bounds)(inverse_depth, camera, T_init, GRID)
     solver = GeometricSolver(RANGE.bounds, ridge=1e-6)
-    misled = (solver(flow, points, camera, T_init) - target).abs().mean()
+    misled = (solver(flow, geometry) - target).abs().mean()
     flow[:, 2:, :, ::3] = -8.0
     flow[:, 2:, :, 1::3] = flow[:, 2:, :, 2::3] = 4.0
-    trusted = (solver(flow, points, camera, T_init) - target).abs().mean()
+    trusted = (solver(flow, geometry) - target).abs().mean()
     assert trusted < 0.05 * misled
 
 
 def test_without_points_the_prior_answers() -> None:
     inverse_depth, T_init, _ = scene(1)
-    points = grid_points(torch.zeros_like(inverse_depth), K[None], GRID)
-    pose = GeometricSolver(RANGE.bounds, 0.1)(torch.ones(1, 4, *GRID), points, K[None], T_init)
+    nothing = torch.zeros_like(inverse_depth)
+    geometry = PointGeometry(RANGE.bounds)(nothing, K[None], T_init, GRID)
+    pose = GeometricSolver(RANGE.bounds, 0.1)(torch.ones(1, 4, *GRID), geometry)
     assert torch.equal(pose, torch.zeros(1, 6))

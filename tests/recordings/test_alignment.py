@@ -68,6 +68,7 @@ def test_all_frames_load_and_the_true_extrinsic_aligns_best(kitti_root: Path) ->
     scores: dict[str, list[float]] = {name: [] for name in poses}
     for frame_id in recording.frame_ids:
         frame = recording.load(frame_id)
+        assert frame.image is not None
         edges, strength = depth_edge_points(frame.points), edge_strength(frame.image)
         for name, pose in poses.items():
             scores[name].append(edge_score(frame, edges, strength, pose))

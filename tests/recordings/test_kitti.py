@@ -219,6 +219,7 @@ def test_real_frames_load(kitti_root: Path) -> None:
     assert recording.skipped == {}
     frames = [recording.load(frame_id) for frame_id in recording.frame_ids[::4]]
     for frame in frames:
+        assert frame.image is not None
         assert frame.image.shape[2] == 3
         assert abs(frame.image.shape[1] - 2 * frame.K[0, 2]) < 60  # the principal point is central
         assert len(frame.points) > 90_000

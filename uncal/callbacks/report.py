@@ -15,14 +15,7 @@ from uncal import __version__
 from uncal.data.datamodule import CalibrationDataModule
 from uncal.errors import ConfigurationError
 from uncal.models.module import CalibrationModule
-from uncal.reporting.tables import (
-    ResultRow,
-    Summary,
-    format_terminal,
-    results_table,
-    summarise,
-    write_results,
-)
+from uncal.reporting.report import Results, format_report, measure, write_report
 
 log = logging.getLogger(__name__)
 
@@ -36,8 +29,7 @@ class Report(lightning.Callback):
         label: what the data are, such as "simulated"; stands in every heading.
     """
 
-    rows: Sequence[ResultRow]
-    summary: Summary
+    results: Results
 
     def __init__(self, folder: str, levels: Sequence[float], label: str) -> None:
         self.folder = Path(folder)
@@ -63,18 +55,27 @@ class Report(lightning.Callback):
         """Make the table, write it, show it."""
         if not isinstance(pl_module, CalibrationModule) or pl_module.tested is None:
             return
-        tested, calibrator = pl_module.tested, pl_module.calibrator
-        self.rows = results_table(tested.mean, tested.std, tested.target, calibrator, self.levels)
-        self.summary = summarise(tested.mean, tested.target, int(calibrator.count))
+        tested = pl_module.tested
         data = trainer.datamodule  # type: ignore[attr-defined]  # Lightning sets it in test()
-        notes = [*run_notes(pl_module, data), *skip_notes(data.skipped)]
-        csv_path, md_path = write_results(
-            self.folder, self.rows, self.summary, label=self.label, notes=notes
+        self.results = measure(
+            tested.mean,
+            tested.std,
+            tested.target,
+            pl_module.calibrator,
+            self.levels,
+            groups=tested.groups(data.splits["test"], pl_module.groups),
+            bounds=tested.bounds,
         )
+        data.share_skipped()
+        if not trainer.is_global_zero:
+            return
+        notes = [*run_notes(pl_module, data), *skip_notes(data.skipped)]
+        paths = write_report(self.folder, self.results, label=self.label, notes=notes)
         if data.skipped:
             write_skipped(self.folder / "skipped.csv", data.skipped)
-        table = format_terminal(self.rows, self.summary, label=self.label, notes=notes)
-        sys.stdout.write(f"\n{table}\n\n{csv_path}\n{md_path}\n")
+        table = format_report(self.results, label=self.label, notes=notes)
+        files = "\n".join(str(path) for path in paths)
+        sys.stdout.write(f"\n{table}\n\n{files}\n")
         sys.stdout.flush()
 
 
@@ -90,8 +91,9 @@ def run_notes(module: CalibrationModule, data: CalibrationDataModule) -> list[st
     """
     sizes = ", ".join(f"{len(ids)} {name.replace('_', ' ')}" for name, ids in data.splits.items())
     notes = [
-        f"Split by {data.split_by}: {sizes} frames. {module.engine.passes} stochastic passes, "
-        f"seed {data.seed}, uncal {__version__}.",
+        f"Split by {data.split_by}: {sizes} frames. {module.engine.passes} stochastic passes with "
+        f"{'fresh' if module.masks is None else 'fixed'} masks, intervals of kind "
+        f"{module.calibrator.kind}, seed {data.seed}, uncal {__version__}.",
     ]
     rigs = {frame.rig for frame in data.splits["test"]}
     if data.split_by != "frame":

@@ -44,7 +44,13 @@ class UncertaintyCalibration(lightning.Callback):
         self._fit(trainer, module, data)
         validation = predict_split(trainer, module, data, "validation", self.monitored)
         for level in self.levels:
-            intervals = module.calibrator.predict(validation.mean, validation.std, level)
+            intervals = module.calibrator.predict(
+                validation.mean,
+                validation.std,
+                level,
+                groups=validation.groups(data.splits["validation"], module.groups),
+                bounds=validation.bounds,
+            )
             bounds = (intervals.lower, intervals.upper)
             coverage = picp(*bounds, validation.target)
             width = mpiw(*bounds)
@@ -70,10 +76,8 @@ class UncertaintyCalibration(lightning.Callback):
     def _fit(
         self, trainer: Trainer, module: CalibrationModule, data: CalibrationDataModule
     ) -> None:
-        scores = predict_split(trainer, module, data, "uncertainty_calibration")
-        module.calibrator.fit(
-            scores.mean, scores.std, scores.target, identity=module.engine.identity()
-        )
+        split = "uncertainty_calibration"
+        module.fit_calibrator(predict_split(trainer, module, data, split), data.splits[split])
 
 
 def _ours(

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import lightning
 import torch
+import torch.distributed as dist
 from torch.utils.data import DataLoader, Dataset, Subset
 
 from uncal.data.augmentation import Augmentation
@@ -109,12 +110,15 @@ class CalibrationDataModule(lightning.LightningDataModule):
             self.loader.cache,
         )
 
-    def loader_of(self, split: str, most: int | None = None) -> DataLoader[Batch]:
+    def loader_of(
+        self, split: str, most: int | None = None, share: tuple[int, int] = (0, 1)
+    ) -> DataLoader[Batch]:
         """Batches of one split: shuffled in training, in order elsewhere.
 
         Args:
             split: a name of :data:`uncal.data.splits.SPLITS`.
             most: frames at most, spread evenly over the split; None: all.
+            share: (rank, world size): every so many-th of them, for one of several processes.
 
         Returns:
             A new loader.
@@ -123,9 +127,10 @@ class CalibrationDataModule(lightning.LightningDataModule):
         size = self.loader.batch_size if training else self.loader.eval_batch_size
         dataset: Dataset[Sample | SkippedFrame] = self.datasets[split]
         n = len(self.splits[split])
-        if most is not None and most < n:
-            dataset = Subset(dataset, [i * n // most for i in range(most)])
-            n = most
+        used = n if most is None else min(n, most)
+        chosen = [i * n // used for i in range(used)][share[0] :: share[1]]
+        if len(chosen) < n:
+            dataset, n = Subset(dataset, chosen), len(chosen)
         return DataLoader(
             dataset,  # type: ignore[arg-type]  # collate turns samples into a Batch
             batch_size=size,
@@ -153,6 +158,14 @@ class CalibrationDataModule(lightning.LightningDataModule):
     def test_dataloader(self) -> DataLoader[Batch]:
         """Test batches, in order."""
         return self.loader_of("test")
+
+    def share_skipped(self) -> None:
+        """Let every process know what the others skipped."""
+        if dist.is_available() and dist.is_initialized():
+            everywhere: list[dict[str, str]] = [{} for _ in range(dist.get_world_size())]
+            dist.all_gather_object(everywhere, self.skipped)
+            for skipped in everywhere:
+                self.skipped.update(skipped)
 
     def on_after_batch_transfer(self, batch: Batch, dataloader_idx: int) -> NetworkInput | None:
         """Decalibrate and project on the device.

@@ -21,6 +21,7 @@ class Sample(NamedTuple):
     """One frame, ready to be batched.
 
     Attributes:
+        place: its number in the split.
         frame: its name.
         image: (3, H, W) uint8 RGB.
         points: (n, 4) float32 culled sweep, LiDAR frame, metres and reflectance.
@@ -29,6 +30,7 @@ class Sample(NamedTuple):
         decalibration: (6,) fixed draw of the evaluation splits, or None where training draws anew.
     """
 
+    place: int
     frame: FrameId
     image: Tensor
     points: Tensor
@@ -48,6 +50,7 @@ class Batch(NamedTuple):
     """Samples stacked; sweeps are padded to the longest with rows of NaN, which nothing sees.
 
     Attributes:
+        place: (B,) int64 numbers of the frames in their split.
         frames: the B frames.
         image: (B, 3, H, W) uint8 RGB.
         points: (B, N, 4) float32, LiDAR frame.
@@ -57,6 +60,7 @@ class Batch(NamedTuple):
         skipped: frames left out because they could not be read.
     """
 
+    place: Tensor
     frames: list[FrameId]
     image: Tensor
     points: Tensor
@@ -84,6 +88,7 @@ class Batch(NamedTuple):
     def _map(self, function: Callable[[Tensor], Tensor]) -> Batch:
         fixed = self.decalibration
         return self._replace(
+            place=function(self.place),
             image=function(self.image),
             points=function(self.points),
             K=function(self.K),
@@ -142,6 +147,8 @@ class FrameDataset(Dataset["Sample | SkippedFrame"]):
             frame = self.recording.load(frame_id)
         except FrameError as error:
             return SkippedFrame(frame_id, str(error))
+        if frame.image is None:
+            return SkippedFrame(frame_id, "the frame has no image")
         image, K = resize_and_crop(frame.image, frame.K, self.image_size)
         near = frustum_mask(
             frame.points[:, :3],
@@ -155,6 +162,7 @@ class FrameDataset(Dataset["Sample | SkippedFrame"]):
         if self.fixed_seed is not None:
             fixed = self.decalibration.draw_for(self.fixed_seed, str(frame_id))
         return Sample(
+            place=index,
             frame=frame_id,
             image=torch.from_numpy(np.ascontiguousarray(image.transpose(2, 0, 1))),
             points=torch.from_numpy(frame.points[near]),
@@ -177,13 +185,14 @@ def collate(items: Sequence[Sample | SkippedFrame]) -> Batch:
     samples = [item for item in items if isinstance(item, Sample)]
     if not samples:
         empty = torch.empty(0)
-        return Batch([], empty, empty, empty, empty, None, skipped)
+        return Batch(empty.long(), [], empty, empty, empty, empty, None, skipped)
     longest = max(len(sample.points) for sample in samples)
     points = torch.full((len(samples), longest, 4), float("nan"))
     for row, sample in zip(points, samples, strict=True):
         row[: len(sample.points)] = sample.points
     fixed = [sample.decalibration for sample in samples if sample.decalibration is not None]
     return Batch(
+        place=torch.tensor([sample.place for sample in samples]),
         frames=[sample.frame for sample in samples],
         image=torch.stack([sample.image for sample in samples]),
         points=points,

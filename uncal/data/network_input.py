@@ -13,6 +13,7 @@ from uncal.data.dataset import Batch
 from uncal.decalibration import decalibrate
 from uncal.errors import ConfigurationError
 from uncal.projection import project
+from uncal.recordings.frame import FrameId
 
 CHANNELS: dict[str, int] = {"rgb": 3, "inverse_depth": 1, "intensity": 1}
 """The inputs that a model can ask for, and how many channels each has."""
@@ -27,6 +28,8 @@ class NetworkInput(NamedTuple):
         K: (B, 3, 3) camera matrices.
         T_init: (B, 4, 4) decalibrated extrinsics, the ones the projection used.
         target: (B, 6) the decalibration to be found, metres and radians.
+        place: (B,) int64 numbers of the frames in their split.
+        frames: the frames.
     """
 
     x: Tensor
@@ -34,6 +37,8 @@ class NetworkInput(NamedTuple):
     K: Tensor
     T_init: Tensor
     target: Tensor
+    place: Tensor
+    frames: list[FrameId]
 
 
 @dataclass(frozen=True)
@@ -96,4 +101,6 @@ def make_input(batch: Batch, decalibration: Tensor, settings: InputSettings) -> 
         else:
             parts.append(projection.intensity * settings.intensity_scale)
     x = torch.cat(parts, 1)
-    return NetworkInput(x, projection.inverse_depth, batch.K, T_init, decalibration)
+    return NetworkInput(
+        x, projection.inverse_depth, batch.K, T_init, decalibration, batch.place, batch.frames
+    )

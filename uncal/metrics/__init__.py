@@ -1,6 +1,55 @@
 """Metrics of prediction intervals: pure functions and torchmetrics around them."""
 
+from uncal.metrics.bins import CoverageByBin, CoverageByQuantileBin, WorstBinCoverage
+from uncal.metrics.boxes import GeometricMeanWidth, JointPICP, MeanLogVolume, RelativeSize
+from uncal.metrics.calibration_curve import (
+    CalibrationError,
+    calibration_curve,
+    calibration_error,
+)
+from uncal.metrics.conditional import (
+    BinnedCoverage,
+    coverage_by_bin,
+    quantile_edges,
+    worst_bin_coverage,
+)
+from uncal.metrics.curves import CalibrationCurve, CalibrationCurveError
 from uncal.metrics.functional import interval_score, mpiw, picp
 from uncal.metrics.intervals import MPIW, PICP, IntervalScore
+from uncal.metrics.joint import (
+    geometric_mean_width,
+    joint_picp,
+    log_volume,
+    mean_log_volume,
+    relative_size,
+)
 
-__all__ = ["MPIW", "PICP", "IntervalScore", "interval_score", "mpiw", "picp"]
+__all__ = [
+    "MPIW",
+    "PICP",
+    "BinnedCoverage",
+    "CalibrationCurve",
+    "CalibrationCurveError",
+    "CalibrationError",
+    "CoverageByBin",
+    "CoverageByQuantileBin",
+    "GeometricMeanWidth",
+    "IntervalScore",
+    "JointPICP",
+    "MeanLogVolume",
+    "RelativeSize",
+    "WorstBinCoverage",
+    "calibration_curve",
+    "calibration_error",
+    "coverage_by_bin",
+    "geometric_mean_width",
+    "interval_score",
+    "joint_picp",
+    "log_volume",
+    "mean_log_volume",
+    "mpiw",
+    "picp",
+    "quantile_edges",
+    "relative_size",
+    "worst_bin_coverage",
+]

@@ -22,6 +22,8 @@ class FastDropout(_DropoutNd):
     ([0.0, 1.3333], 0.75)
     """
 
+    elementwise_dropout = True
+
     def forward(self, x: Tensor) -> Tensor:
         """Zero elements with probability p and scale the others by 1/(1-p), in training mode.
 
@@ -38,8 +40,10 @@ class FastDropout(_DropoutNd):
         n = x.numel()
         words = torch.empty((n + 3) // 4, dtype=torch.int64).random_(-(2**63), None)
         lanes = words.view(torch.int16)[:n].view(x.shape)
-        kept = lanes >= round(self.p * _LANES) - _LANES // 2
-        return x * kept.to(x.dtype).mul_(1.0 / (1.0 - self.p))
+        kept = torch.empty_like(x, memory_format=torch.contiguous_format)
+        # Straight into floats: from bool it takes five times as long on a CPU.
+        torch.ge(lanes, round(self.p * _LANES) - _LANES // 2, out=kept)
+        return x * kept.mul_(1.0 / (1.0 - self.p))
 
 
 def use_fast_dropout(network: nn.Module) -> nn.Module:

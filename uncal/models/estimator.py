@@ -7,7 +7,19 @@ from typing import NamedTuple, cast
 import torch
 from torch import Tensor, nn
 
-from uncal.models.geometric import GeometricSolver, grid_points
+from uncal.models.geometric import GeometricSolver, GridPoints, PointGeometry
+
+
+class DisplacementMap(NamedTuple):
+    """What a geometric head says.
+
+    Attributes:
+        flow: (B, 4, h, w) displacement in pixels and two log-weights.
+        points: the LiDAR points of its cells.
+    """
+
+    flow: Tensor
+    points: GridPoints
 
 
 class Estimate(NamedTuple):
@@ -15,18 +27,21 @@ class Estimate(NamedTuple):
 
     Attributes:
         pose: (B, 6) estimated decalibration, metres and radians.
-        flow: (B, 4, h, w) displacement map and log-weights of the geometric head, else None.
+        displacement: of a geometric head, else None.
+        quantiles: a lower and an upper quantile of the pose, each (B, 6), of a head that has them.
     """
 
     pose: Tensor
-    flow: Tensor | None
+    displacement: DisplacementMap | None
+    quantiles: tuple[Tensor, Tensor] | None
 
 
 class PoseEstimator(nn.Module):
     """A network and, if it returns a displacement map, the least-squares solver behind it.
 
     Args:
-        network: (B, C, H, W) → (B, 6) in units of ``bounds``, or → (B, 4, h, w).
+        network: (B, C, H, W) → (B, 6) in units of ``bounds``, or → (B, 3, 6) with a lower and an
+            upper quantile behind the pose, or → (B, 4, h, w).
         bounds: (6,) range of the decalibrations, metres and radians.
         ridge: initial ridge of the solver.
     """
@@ -37,69 +52,47 @@ class PoseEstimator(nn.Module):
         super().__init__()
         # Channels last is what convolutions on CPUs and tensor cores are fastest with.
         self.network: nn.Module = network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.geometry = PointGeometry(bounds)
         self.solver = GeometricSolver(bounds, ridge)
         self.register_buffer("bounds", bounds.clone(), persistent=False)
 
-    def encode(self, x: Tensor) -> Tensor:
-        """The part of the network that no dropout reaches, if it says so by an ``encode`` method.
+    def estimate(self, x: Tensor, inverse_depth: Tensor, K: Tensor, T_init: Tensor) -> Estimate:
+        """The network and, where needed, the solver.
 
         Args:
             x: (B, C, H, W) the network's input.
-
-        Returns:
-            What its ``decode`` goes on with; ``x`` itself for a network without the two.
-        """
-        x = x.contiguous(memory_format=torch.channels_last)
-        encode = getattr(self.network, "encode", None)
-        return x if encode is None else cast(Tensor, encode(x))
-
-    def decode(
-        self, features: Tensor, inverse_depth: Tensor, K: Tensor, T_init: Tensor
-    ) -> Estimate:
-        """The rest of the network and, where needed, the solver.
-
-        Args:
-            features: what :meth:`encode` returned.
             inverse_depth: (B, 1, H, W) 1/m of the decalibrated projection.
             K: (B, 3, 3) camera matrices.
             T_init: (B, 4, 4) decalibrated extrinsics.
 
         Returns:
-            Pose and displacement map.
+            Pose, and what else the network says.
 
         Raises:
-            ValueError: the network returned neither of the two shapes.
+            ValueError: the network returned none of the shapes above.
         """
-        output = cast(Tensor, getattr(self.network, "decode", self.network)(features))
-        if output.shape == (len(features), 6):
-            return Estimate(output.float() * self.bounds, None)
-        if output.ndim != 4 or output.shape[1] != 4:
+        output = cast(Tensor, self.network(x.contiguous(memory_format=torch.channels_last)))
+        batch = len(x)
+        if output.shape == (batch, 6):
+            return Estimate(output.float() * self.bounds, None, None)
+        if output.shape == (batch, 3, 6):
+            pose, lower, upper = (output.float() * self.bounds).unbind(1)
+            return Estimate(pose, None, (lower, upper))
+        if output.ndim != 4 or output.shape[:2] != (batch, 4):
             raise ValueError(
-                f"the network returned shape {tuple(output.shape)}; expected (B, 6) or (B, 4, h, w)"
+                f"the network returned shape {tuple(output.shape)} for {batch} rows; expected "
+                "(B, 6), (B, 3, 6) or (B, 4, h, w)"
             )
         # Pixels and metres need more than half precision.
-        with torch.autocast(features.device.type, enabled=False):
-            points = grid_points(inverse_depth, K, (output.shape[2], output.shape[3]))
-            return Estimate(self.solver(output, points, K, T_init), output)
+        with torch.autocast(x.device.type, enabled=False):
+            grid = (output.shape[2], output.shape[3])
+            geometry = self.geometry(inverse_depth, K, T_init, grid)
+            flow = DisplacementMap(output.float(), geometry.points)
+            return Estimate(self.solver(output, geometry), flow, None)
 
     def forward(self, x: Tensor, inverse_depth: Tensor, K: Tensor, T_init: Tensor) -> Tensor:
-        """The pose alone; see :meth:`decode`."""
-        return self.decode(self.encode(x), inverse_depth, K, T_init).pose
-
-
-class StochasticPart(nn.Module):
-    """What differs from pass to pass: an estimator from behind its ``encode`` on.
-
-    The encoder's weights belong to its state too, so that a fingerprint covers the whole.
-
-    Args:
-        estimator: the whole.
-    """
-
-    def __init__(self, estimator: PoseEstimator) -> None:
-        super().__init__()
-        self.estimator = estimator
-
-    def forward(self, features: Tensor, inverse_depth: Tensor, K: Tensor, T_init: Tensor) -> Tensor:
-        """(B, 6) pose; see :meth:`PoseEstimator.decode`."""
-        return self.estimator.decode(features, inverse_depth, K, T_init).pose
+        """(B, 6) the pose, or (B, 18) with its lower and upper quantiles; see :meth:`estimate`."""
+        estimate = self.estimate(x, inverse_depth, K, T_init)
+        if estimate.quantiles is None:
+            return estimate.pose
+        return torch.cat([estimate.pose, *estimate.quantiles], 1)

@@ -99,6 +99,52 @@ def true_displacement(points_cam: Tensor, K: Tensor, T_init: Tensor, target: Ten
     return (there - here) * focal
 
 
+class Geometry(NamedTuple):
+    """All that the solver needs to know of the points, whatever the network says.
+
+    Attributes:
+        points: the LiDAR points of a displacement map's cells.
+        jacobian: (B, n, 2, 6) pixels by decalibration in units of its range.
+    """
+
+    points: GridPoints
+    jacobian: Tensor
+
+
+class PointGeometry(nn.Module):
+    """:func:`grid_points` and their :func:`displacement_jacobian`.
+
+    A module, so that the stochastic passes of one frame can share its output.
+
+    Args:
+        bounds: (6,) range of the decalibrations, metres and radians.
+    """
+
+    bounds: Tensor
+
+    def __init__(self, bounds: Tensor) -> None:
+        super().__init__()
+        self.register_buffer("bounds", bounds.clone(), persistent=False)
+
+    def forward(
+        self, inverse_depth: Tensor, K: Tensor, T_init: Tensor, grid: tuple[int, int]
+    ) -> Geometry:
+        """Look at one batch.
+
+        Args:
+            inverse_depth: (B, 1, H, W) 1/m of the decalibrated projection.
+            K: (B, 3, 3) camera matrices.
+            T_init: (B, 4, 4) decalibrated extrinsics.
+            grid: (h, w) cells of the displacement map.
+
+        Returns:
+            Points and Jacobian.
+        """
+        points = grid_points(inverse_depth, K, grid)
+        jacobian = displacement_jacobian(points.points_cam, K, T_init) * self.bounds
+        return Geometry(points, jacobian)
+
+
 class GeometricSolver(nn.Module):
     """The decalibration that best explains a displacement map.
 
@@ -117,23 +163,21 @@ class GeometricSolver(nn.Module):
         self.register_buffer("bounds", bounds.clone())
         self.log_ridge = nn.Parameter(torch.full((6,), ridge).log())
 
-    def forward(self, flow: Tensor, points: GridPoints, K: Tensor, T_init: Tensor) -> Tensor:
+    def forward(self, flow: Tensor, geometry: Geometry) -> Tensor:
         """Solve for six numbers.
 
         Args:
             flow: (B, 4, h, w) displacement in pixels and two log-weights.
-            points: the LiDAR points of the map's cells.
-            K: (B, 3, 3) camera matrices.
-            T_init: (B, 4, 4) decalibrated extrinsics.
+            geometry: of the points in the map's cells.
 
         Returns:
             (B, 6) decalibration, metres and radians.
         """
         flow = flow.float().flatten(2).transpose(1, 2)
-        jacobian = displacement_jacobian(points.points_cam, K, T_init) * self.bounds
-        weight = flow[..., 2:].clamp(-8.0, 8.0).exp() * points.seen[..., None]
-        weight = weight / points.seen.sum(1).clamp(min=1.0)[:, None, None]
-        weighted = (jacobian * weight[..., None]).flatten(1, 2).transpose(1, 2)
-        normal = weighted @ jacobian.flatten(1, 2) + torch.diag(self.log_ridge.exp())
+        seen, jacobian = geometry.points.seen, geometry.jacobian.flatten(1, 2)
+        weight = flow[..., 2:].clamp(-8.0, 8.0).exp() * seen[..., None]
+        weight = weight / seen.sum(1).clamp(min=1.0)[:, None, None]
+        weighted = (jacobian * weight.flatten(1)[..., None]).transpose(1, 2)
+        normal = weighted @ jacobian + torch.diag(self.log_ridge.exp())
         right = weighted @ flow[..., :2].flatten(1, 2)[..., None]
         return cast(Tensor, torch.linalg.solve(normal, right)).squeeze(-1) * self.bounds

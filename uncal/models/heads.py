@@ -47,6 +47,37 @@ class PoseHead(nn.Module):
         return torch.cat([self.translation(pooled), self.rotation(pooled)], 1)
 
 
+class QuantileHead(nn.Module):
+    """Three :class:`PoseHead` s: the pose, and a lower and an upper quantile around it.
+
+    The quantiles are the pose minus and plus something positive, so that they never cross.
+
+    Args:
+        in_channels: of the maps, fine to coarse; the coarsest is pooled.
+        hidden: widths of the hidden layers.
+        dropout: rate before each linear layer.
+    """
+
+    def __init__(self, in_channels: Sequence[int], hidden: Sequence[int], dropout: float) -> None:
+        super().__init__()
+        self.pose, self.below, self.above = (
+            PoseHead(in_channels, hidden, dropout) for _ in range(3)
+        )
+
+    def forward(self, maps: list[Tensor]) -> Tensor:
+        """Pool and regress.
+
+        Args:
+            maps: the pyramid, fine to coarse.
+
+        Returns:
+            (B, 3, 6) pose, lower and upper quantile in units of the decalibration's range.
+        """
+        pose = self.pose(maps)
+        below, above = F.softplus(self.below(maps)), F.softplus(self.above(maps))
+        return torch.stack([pose, pose - below, pose + above], 1)
+
+
 class DisplacementHead(nn.Module):
     """A top-down decoder (as in FPN, Lin et al. 2017) that keeps where things are.
 

@@ -8,7 +8,7 @@ from tqdm import tqdm
 
 from uncal.data.datamodule import CalibrationDataModule
 from uncal.models.module import CalibrationModule
-from uncal.models.prediction import SplitPrediction, join_predictions, pass_seed
+from uncal.models.prediction import SplitPrediction, join_predictions
 
 
 def predict_split(
@@ -18,32 +18,32 @@ def predict_split(
     split: str,
     most: int | None = None,
 ) -> SplitPrediction:
-    """Run the stochastic passes over a split.
+    """Run the stochastic passes over a split, shared out among the trainer's processes.
 
     Args:
-        trainer: gives device and precision.
+        trainer: gives device, precision and processes.
         module: the network with its MC-dropout engine.
         data: gives the split's batches.
         split: its name.
         most: frames to predict at most, spread evenly over the split; None: all.
 
     Returns:
-        Predictions of all readable frames.
+        Predictions of all readable frames, the same on every process.
 
     Raises:
         RecordingError: no frame of the split could be read.
     """
     parts: list[SplitPrediction] = []
-    loader = data.loader_of(split, most)
-    bar = tqdm(loader, desc=f"MC dropout, {split}", leave=False, mininterval=0.5)
+    loader = data.loader_of(split, most, share=(trainer.global_rank, trainer.world_size))
+    quiet = not trainer.is_global_zero
+    bar = tqdm(loader, desc=f"MC dropout, {split}", leave=False, mininterval=0.5, disable=quiet)
     with torch.inference_mode():
-        for number, batch in enumerate(bar):
+        for batch in bar:
             inputs = data.on_after_batch_transfer(batch.to(module.device), 0)
             if inputs is None:
                 continue
             with trainer.precision_plugin.forward_context():
-                prediction = module.stochastic(inputs, pass_seed(module.seed, split, number))
-            parts.append(
-                SplitPrediction(prediction.mean.cpu(), prediction.std.cpu(), inputs.target.cpu())
-            )
+                prediction = module.stochastic(inputs, split)
+            parts.append(SplitPrediction.of(prediction, inputs))
+    data.share_skipped()
     return join_predictions(parts, split)

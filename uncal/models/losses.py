@@ -38,6 +38,27 @@ def displacement_loss(displacement: Tensor, truth: Tensor, seen: Tensor) -> Tens
     return error.sum() / (2.0 * seen.sum().clamp(min=1.0))
 
 
+def pinball_loss(quantile: Tensor, target: Tensor, level: float, bounds: Tensor) -> Tensor:
+    """What a quantile of that level minimises (Koenker and Bassett 1978), mean over all.
+
+    Args:
+        quantile: (B, 6) metres and radians.
+        target: (B, 6) metres and radians.
+        level: in (0, 1).
+        bounds: (6,) range of the decalibrations.
+
+    Returns:
+        Scalar.
+
+    >>> import torch
+    >>> one = torch.ones(1, 6)
+    >>> round(pinball_loss(0 * one, one, 0.9, one[0]).item(), 2)
+    0.9
+    """
+    error = (target - quantile) / bounds
+    return (level * error).maximum((level - 1.0) * error).mean()
+
+
 def relative_error(estimate: Tensor, target: Tensor) -> Tensor:
     """Mean absolute error over mean absolute decalibration, per DoF; 1 is doing nothing.
 

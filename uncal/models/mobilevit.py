@@ -11,6 +11,7 @@ from transformers import MobileViTConfig, MobileViTModel
 from transformers.models.mobilevit.modeling_mobilevit import MobileViTLayer
 
 from uncal.errors import ConfigurationError
+from uncal.models.attention import use_fused_attention
 from uncal.models.correlation import EdgeCorrelation
 from uncal.models.dropout import use_fast_dropout
 
@@ -57,7 +58,7 @@ class MobileViT(nn.Module):
             self.body = MobileViTModel.from_pretrained(
                 pretrained, ignore_mismatched_sizes=True, expand_output=False, **sizes
             )
-        use_fast_dropout(self.body)
+        use_fused_attention(use_fast_dropout(self.body))
         self.channels: tuple[int, ...] = tuple(neck_hidden_sizes[1:6])
 
     def forward(self, x: Tensor) -> list[Tensor]:
@@ -75,6 +76,43 @@ class MobileViT(nn.Module):
             x = cast(Tensor, stage(x))
             maps.append(x)
         return maps
+
+
+class EdgeFront(nn.Module):
+    """Three convolutions of all channels, fused with the read-out of their edge correlation.
+
+    Args:
+        in_channels: C of the input: the image's, inverse depth, intensity.
+        image_channels: how many of them are the image's.
+        radius: of the edge correlation, cells of 2 pixels.
+        stem_channels: of the convolutions, each with stride 2.
+        out_channels: of the fused map.
+    """
+
+    def __init__(
+        self,
+        in_channels: int,
+        image_channels: int,
+        radius: int,
+        stem_channels: Sequence[int],
+        out_channels: int,
+    ) -> None:
+        super().__init__()
+        self.correlation = EdgeCorrelation(image_channels, radius)
+        self.stem = nn.Sequential(
+            *(
+                convolution(before, after, stride=2)
+                for before, after in zip((in_channels, *stem_channels), stem_channels, strict=False)
+            )
+        )
+        n = self.correlation.out_channels
+        self.read = nn.Sequential(nn.BatchNorm2d(n), *convolution(n, out_channels, size=1))
+        self.fuse = convolution(stem_channels[-1] + out_channels, out_channels, size=1)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(B, C, H, W) → (B, out_channels, H/8, W/8)."""
+        correlation = self.read(self.correlation(x))
+        return cast(Tensor, self.fuse(torch.cat([self.stem(x), correlation], 1)))
 
 
 class CorrelationMobileViT(nn.Module):
@@ -117,16 +155,7 @@ class CorrelationMobileViT(nn.Module):
                 f"{image_channels} of the image, then inverse_depth and intensity. Choose another "
                 "with model/backbone=mobilevit_xxs"
             )
-        self.correlation = EdgeCorrelation(image_channels, radius)
-        self.stem = nn.Sequential(
-            *(
-                convolution(before, after, stride=2)
-                for before, after in zip((in_channels, *stem_channels), stem_channels, strict=False)
-            )
-        )
-        n, first = self.correlation.out_channels, channels[0]
-        self.read = nn.Sequential(nn.BatchNorm2d(n), *convolution(n, first, size=1))
-        self.fuse = convolution(stem_channels[-1] + first, first, size=1)
+        self.front = EdgeFront(in_channels, image_channels, radius, stem_channels, channels[0])
         config = MobileViTConfig(hidden_dropout_prob=dropout, expand_ratio=float(expand_ratio))
         self.stages = nn.ModuleList(
             MobileViTLayer(
@@ -139,39 +168,24 @@ class CorrelationMobileViT(nn.Module):
             )
             for i in range(len(layers))
         )
-        use_fast_dropout(self.stages)
+        use_fused_attention(use_fast_dropout(self.stages))
         self.channels: tuple[int, ...] = tuple(channels[1:])
 
-    def encode(self, x: Tensor) -> Tensor:
-        """The part without dropout, the same in every stochastic pass.
+    def forward(self, x: Tensor) -> list[Tensor]:
+        """Features from fine to coarse.
 
         Args:
             x: (B, C, H, W); H and W multiples of 8, best of 32.
 
         Returns:
-            (B, channels[0], H/8, W/8).
+            Maps (B, channels[i+1], H/s, W/s), s = 8, 16 and so on.
         """
-        correlation = self.read(self.correlation(x))
-        return cast(Tensor, self.fuse(torch.cat([self.stem(x), correlation], 1)))
-
-    def decode(self, features: Tensor) -> list[Tensor]:
-        """The stages with dropout.
-
-        Args:
-            features: what :meth:`encode` returned.
-
-        Returns:
-            Maps (B, channels[i+1], H/s, W/s) from fine to coarse, s = 8, 16 and so on.
-        """
+        features = self.front(x)
         maps = []
         for stage in self.stages:
             features = cast(Tensor, stage(features))
             maps.append(features)
         return maps
-
-    def forward(self, x: Tensor) -> list[Tensor]:
-        """Both parts, one after the other."""
-        return self.decode(self.encode(x))
 
 
 def convolution(

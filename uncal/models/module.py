@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 
 import lightning
 import torch
@@ -15,11 +15,14 @@ from torch.optim.lr_scheduler import LambdaLR
 from uncal.data.network_input import NetworkInput
 from uncal.decalibration import DecalibrationRange
 from uncal.geometry import DOF_NAMES
-from uncal.models.estimator import PoseEstimator, StochasticPart
-from uncal.models.geometric import grid_points, true_displacement
-from uncal.models.losses import displacement_loss, pose_loss, relative_error
-from uncal.models.prediction import SplitPrediction, join_predictions, pass_seed
-from uncal.uncertainty.conformal import ConformalCalibrator
+from uncal.models.estimator import PoseEstimator
+from uncal.models.geometric import true_displacement
+from uncal.models.losses import displacement_loss, pinball_loss, pose_loss, relative_error
+from uncal.models.prediction import SplitPrediction, frame_seed, join_predictions
+from uncal.recordings.frame import FrameId
+from uncal.uncertainty.calibrator import IntervalCalibrator
+from uncal.uncertainty.gather import gather_by_id
+from uncal.uncertainty.masks import FixedMasks
 from uncal.uncertainty.mc_dropout import MCDropout, Prediction
 
 
@@ -33,9 +36,11 @@ class CalibrationModule(lightning.LightningModule):
         warmup_fraction: part of the training steps in which the learning rate rises.
         displacement_weight: weight of the displacement loss (per pixel) beside the pose loss.
         ridge: initial ridge of the geometric head's solver.
-        passes: stochastic passes of a prediction.
-        chunk: most rows of one replicated batch, or None.
-        sigma_floor: of the conformal calibrator, metres and radians.
+        quantile_levels: what the outputs of a quantile head stand for, such as 0.05 and 0.95.
+        engine: network, masks → its MC dropout.
+        fixed_masks: whether all frames meet the same dropout masks in evaluation.
+        calibrator: turns means and spreads into intervals.
+        groups: what frames of one group share: ``rig`` or ``drive``.
         seed: of the dropout masks in evaluation.
     """
 
@@ -47,9 +52,11 @@ class CalibrationModule(lightning.LightningModule):
         warmup_fraction: float,
         displacement_weight: float,
         ridge: float,
-        passes: int,
-        chunk: int | None,
-        sigma_floor: float,
+        quantile_levels: tuple[float, float],
+        engine: Callable[[nn.Module, FixedMasks | None], MCDropout],
+        fixed_masks: bool,
+        calibrator: IntervalCalibrator,
+        groups: str,
         seed: int,
     ) -> None:
         super().__init__()
@@ -57,13 +64,16 @@ class CalibrationModule(lightning.LightningModule):
         self.make_optimizer = optimizer
         self.warmup_fraction = warmup_fraction
         self.displacement_weight = displacement_weight
-        self.engine = MCDropout(StochasticPart(self.estimator), passes, chunk)
-        self.calibrator = ConformalCalibrator(DOF_NAMES, sigma_floor)
+        self.quantile_levels = quantile_levels
+        self.masks = FixedMasks(seed) if fixed_masks else None
+        self.engine = engine(self.estimator, self.masks)
+        self.calibrator = calibrator
+        self.groups = groups
         self.seed = seed
         self.recipe: dict[str, object] = {}
         self.tested: SplitPrediction | None = None
         self._tested: list[SplitPrediction] = []
-        self._validation: list[tuple[Tensor, Tensor]] = []
+        self._validation: list[tuple[Tensor, Tensor, Tensor]] = []
 
     def forward(self, batch: NetworkInput) -> Tensor:
         """Estimate the decalibration of a batch.
@@ -74,8 +84,7 @@ class CalibrationModule(lightning.LightningModule):
         Returns:
             (B, 6) metres and radians.
         """
-        pose: Tensor = self.estimator(*batch[:4])
-        return pose
+        return self.estimator.estimate(*batch[:4]).pose
 
     def loss(self, batch: NetworkInput) -> tuple[Tensor, Tensor]:
         """Pose loss plus, for a displacement map, the loss of the map itself.
@@ -86,35 +95,47 @@ class CalibrationModule(lightning.LightningModule):
         Returns:
             The loss (scalar) and the estimated pose (B, 6).
         """
-        estimate = self.estimator.decode(self.estimator.encode(batch.x), *batch[1:4])
+        estimate = self.estimator.estimate(*batch[:4])
         loss = pose_loss(estimate.pose, batch.target, self.estimator.bounds)
-        if estimate.flow is not None:
-            flow = estimate.flow.float()
-            points = grid_points(batch.inverse_depth, batch.K, (flow.shape[2], flow.shape[3]))
+        if estimate.displacement is not None:
+            flow, points = estimate.displacement
             truth = true_displacement(points.points_cam, batch.K, batch.T_init, batch.target)
             displacement = flow[:, :2].flatten(2).transpose(1, 2)
             error = displacement_loss(displacement, truth, points.seen)
             loss = loss + self.displacement_weight * error
+        if estimate.quantiles is not None:
+            for level, quantile in zip(self.quantile_levels, estimate.quantiles, strict=True):
+                loss = loss + pinball_loss(quantile, batch.target, level, self.estimator.bounds)
         return loss, estimate.pose
 
-    def stochastic(self, batch: NetworkInput, seed: int) -> Prediction:
-        """Mean and spread of the stochastic passes; what no dropout reaches runs once.
+    def stochastic(self, batch: NetworkInput, split: str) -> Prediction:
+        """Mean and spread of the stochastic passes; the same for a frame in any batch.
 
         Args:
             batch: B network inputs.
-            seed: of the dropout masks.
+            split: name of the split that they come from.
 
         Returns:
-            Mean and σ, each (B, 6), metres and radians.
+            Mean and σ, each (B, 6), metres and radians; (B, 18) with a quantile head.
         """
-        training = self.estimator.training
-        self.estimator.eval()
-        try:
-            with torch.inference_mode():
-                features = self.estimator.encode(batch.x)
-            return self.engine(features, *batch[1:4], seed=seed)
-        finally:
-            self.estimator.train(training)
+        seeds = [frame_seed(self.seed, split, frame) for frame in batch.frames]
+        return self.engine(*batch[:4], seed=seeds)
+
+    def fit_calibrator(self, scores: SplitPrediction, frames: Sequence[FrameId]) -> None:
+        """Calibrate the intervals of these weights, passes, rates and masks.
+
+        Args:
+            scores: predictions of the uncertainty calibration split.
+            frames: that split.
+        """
+        self.calibrator.fit(
+            scores.mean,
+            scores.std,
+            scores.target,
+            groups=scores.groups(frames, self.groups),
+            bounds=scores.bounds,
+            identity=self.engine.identity(),
+        )
 
     def training_step(self, batch: NetworkInput | None, batch_idx: int) -> Tensor | None:
         """One optimisation step; a batch without a readable frame is passed over."""
@@ -130,13 +151,14 @@ class CalibrationModule(lightning.LightningModule):
             return
         loss, pose = self.loss(batch)
         self.log("loss/validation", loss, batch_size=len(batch.x), on_epoch=True)
-        self._validation.append((pose.float(), batch.target))
+        self._validation.append((batch.place, pose.float(), batch.target))
 
     def on_validation_epoch_end(self) -> None:
         """Log the error per DoF and its mean, relative to doing nothing."""
         if not self._validation:
             return
-        pose, target = (torch.cat(part) for part in zip(*self._validation, strict=True))
+        columns = (torch.cat(part) for part in zip(*self._validation, strict=True))
+        _, pose, target = gather_by_id(*columns)
         self._validation.clear()
         relative = relative_error(pose, target)
         for name, value in zip(DOF_NAMES, relative, strict=True):
@@ -147,10 +169,7 @@ class CalibrationModule(lightning.LightningModule):
         """Collect the MC-dropout prediction."""
         if batch is None:
             return
-        prediction = self.stochastic(batch, pass_seed(self.seed, "test", batch_idx))
-        self._tested.append(
-            SplitPrediction(prediction.mean.cpu(), prediction.std.cpu(), batch.target.cpu())
-        )
+        self._tested.append(SplitPrediction.of(self.stochastic(batch, "test"), batch))
 
     def on_test_epoch_end(self) -> None:
         """Put the predictions together as ``tested``."""

@@ -36,31 +36,14 @@ class UniCal(nn.Module):
         self.backbone = backbone(in_channels)
         self.head = head(cast(Pyramid, self.backbone).channels)
 
-    def encode(self, x: Tensor) -> Tensor:
-        """The part that no dropout reaches, as far as the backbone tells it apart.
+    def forward(self, x: Tensor) -> Tensor:
+        """Estimate.
 
         Args:
             x: (B, C, H, W) normalised channels.
 
         Returns:
-            The backbone's features before its first dropout, or ``x``.
-        """
-        encode = getattr(self.backbone, "encode", None)
-        return x if encode is None else cast(Tensor, encode(x))
-
-    def decode(self, features: Tensor) -> Tensor:
-        """Everything from the first dropout on.
-
-        Args:
-            features: what :meth:`encode` returned.
-
-        Returns:
-            (B, 6) in units of the decalibration's range, or (B, 4, h, w); see
+            (B, 6) in units of the decalibration's range, (B, 3, 6), or (B, 4, h, w); see
             :mod:`uncal.models.heads`.
         """
-        maps = getattr(self.backbone, "decode", self.backbone)(features)
-        return cast(Tensor, self.head(maps))
-
-    def forward(self, x: Tensor) -> Tensor:
-        """Both parts, one after the other."""
-        return self.decode(self.encode(x))
+        return cast(Tensor, self.head(self.backbone(x)))

@@ -8,6 +8,8 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from uncal.events.stream import Events
+
 
 @dataclass(frozen=True)
 class FrameId:
@@ -30,25 +32,28 @@ class FrameId:
 
 @dataclass(frozen=True)
 class Frame:
-    """One camera image and the LiDAR sweep taken with it.
+    """One camera image, or window of events, and the LiDAR sweep taken with it.
 
     Attributes:
         id: where the frame comes from.
         image: (H, W, 3) uint8 RGB, rectified; grey cameras are repeated over the three channels.
+            None for an event camera.
         points: (N, 4) float32 x, y, z in metres in the LiDAR frame, and reflectance in 0..1.
-        K: (3, 3) float64 camera matrix of ``image``, pixels.
+        K: (3, 3) float64 camera matrix of the rectified image or events, pixels.
         T_cam_lidar: (4, 4) float64 true extrinsic, LiDAR → this camera.
         time: seconds; NaN where the recording has no timestamps.
         n_dropped: points of the sweep left out because they were not finite.
+        events: what an event camera saw before the sweep; None for an image.
     """
 
     id: FrameId
-    image: NDArray[np.uint8]
+    image: NDArray[np.uint8] | None
     points: NDArray[np.float32]
     K: NDArray[np.float64]
     T_cam_lidar: NDArray[np.float64]
     time: float
     n_dropped: int = 0
+    events: Events | None = None
 
     @property
     def drive(self) -> str:

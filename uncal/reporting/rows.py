@@ -5,18 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from fractions import Fraction
 
 import torch
 from torch import Tensor
 
 from uncal.geometry import DOF_NAMES, DOF_SCALE, DOF_UNITS, invert, pose_to_matrix
 from uncal.metrics.functional import covered, interval_score, mpiw
-from uncal.uncertainty.conformal import ConformalCalibrator, miscoverage
-from uncal.uncertainty.coverage_law import coverage_band
-
-BAND_CONFIDENCE = 0.999
-"""Probability with which the exact law's band holds the coverage of one DoF at one level."""
+from uncal.reporting.predictions import Predictions, band_counts, in_double, percent
+from uncal.uncertainty.calibrator import IntervalCalibrator
+from uncal.uncertainty.quantile import miscoverage
 
 
 @dataclass(frozen=True)
@@ -30,7 +27,9 @@ class ResultRow:
         picp: coverage found, percent.
         mpiw: mean width of the intervals; inf if the uncertainty calibration set is too small.
         interval_score: mean interval score; the column ``is``.
-        coverage_low: lowest coverage inside the exact law's band, percent.
+        coverage_low: lowest coverage inside the exact law's band, percent. The law is that of
+            split conformal intervals; for a method without it (:data:`predictions.Promise`) the
+            band says what they would be allowed.
         coverage_high: highest coverage inside the exact law's band, percent.
         in_band: whether ``picp`` is in that band.
         mae_before: mean |decalibration|.
@@ -83,8 +82,11 @@ def results_table(
     mean: Tensor,
     std: Tensor,
     target: Tensor,
-    calibrator: ConformalCalibrator,
+    calibrator: IntervalCalibrator,
     levels: Sequence[float],
+    *,
+    groups: Sequence[str] | None = None,
+    bounds: tuple[Tensor, Tensor] | None = None,
 ) -> list[ResultRow]:
     """One row per level and degree of freedom, levels outermost.
 
@@ -94,13 +96,17 @@ def results_table(
         target: (n, 6) true decalibration.
         calibrator: fitted on the uncertainty calibration set.
         levels: coverage levels in (0, 1).
+        groups: n labels, where the calibrator needs them.
+        bounds: (n, 6) lower and upper quantile outputs, where the calibrator needs them.
 
     Raises:
         UncertaintyError: the predictions or a level allow no interval.
         NotCalibratedError: the calibrator is not fitted.
-        ValueError: no levels, shapes other than (n, 6), or values that are not finite.
+        ValueError: no levels, shapes other than (n, 6), values that are not finite, or not one
+            label per sample.
     """
-    mean, std, target = _in_double(mean, std, target)
+    tested = Predictions.of(mean, std, target, groups, bounds)
+    mean, target = tested.mean, tested.target
     if not levels:
         raise ValueError("no coverage levels; give at least one, such as 0.9.")
     scale = torch.tensor(DOF_SCALE, dtype=torch.float64)
@@ -109,10 +115,9 @@ def results_table(
     n, m = len(target), int(calibrator.count)
     rows = []
     for level in levels:
-        intervals = calibrator.predict(mean, std, level)
+        intervals = tested.intervals(calibrator, level)
         alpha = miscoverage(level)
-        # As counts, since only those compare exactly.
-        low, high = (round(n * bound) for bound in coverage_band(n, m, alpha, BAND_CONFIDENCE))
+        low, high = band_counts(n, m, alpha)
         inside = covered(intervals.lower, intervals.upper, target).sum(0).tolist()
         widths = (mpiw(intervals.lower, intervals.upper) * scale).tolist()
         scores = interval_score(intervals.lower, intervals.upper, target, float(alpha)) * scale
@@ -120,7 +125,7 @@ def results_table(
             ResultRow(
                 dof=name,
                 unit=DOF_UNITS[j],
-                level=float(100 * Fraction(str(level))),
+                level=percent(level),
                 picp=100 * inside[j] / n,
                 mpiw=widths[j],
                 interval_score=scores[j].item(),
@@ -157,7 +162,7 @@ def summarise(mean: Tensor, target: Tensor, n_calibration: int) -> Summary:
     >>> round(summary.translation_before, 6), round(summary.translation_after, 6)
     (5.0, 2.5)
     """
-    mean, target = _in_double(mean, target)
+    mean, target = in_double(mean, target)
     before, after = target.abs().mean(0).tolist(), (target - mean).abs().mean(0).tolist()
     ratios = [_ratio(a, b) for a, b in zip(after, before, strict=True) if b > 0]
     truth = pose_to_matrix(target)
@@ -194,19 +199,3 @@ def rotation_angle(transform: Tensor) -> Tensor:
 
 def _ratio(after: float, before: float) -> float:
     return after / before if before > 0 else math.nan
-
-
-def _in_double(*tensors: Tensor) -> list[Tensor]:
-    """On the CPU in double precision, so that a table is the same wherever it is made."""
-    for tensor in tensors:
-        if tensor.shape != tensors[0].shape or tensor.ndim != 2 or tensor.shape[1] != 6:
-            raise ValueError(
-                f"shapes {[tuple(t.shape) for t in tensors]}: all must be (n, {len(DOF_NAMES)}), "
-                f"in the order {', '.join(DOF_NAMES)}."
-            )
-        if len(tensor) == 0 or not tensor.isfinite().all():
-            raise ValueError(
-                f"the test set has {len(tensor)} samples and {int((~tensor.isfinite()).sum())} "
-                "values that are NaN or infinite; a table needs finite values and one sample."
-            )
-    return [tensor.detach().to("cpu", torch.float64) for tensor in tensors]

@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 import textwrap
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict
+from collections.abc import Mapping, Sequence
+from dataclasses import astuple
 from fractions import Fraction
 from pathlib import Path
 
-from uncal.reporting.rows import BAND_CONFIDENCE, ResultRow, Summary, results_table, summarise
-from uncal.uncertainty.conformal import samples_needed
+from uncal.reporting.layout import (
+    Section,
+    aligned_lines,
+    csv_text,
+    markdown_lines,
+    number,
+    write_whole,
+)
+from uncal.reporting.predictions import BAND_CONFIDENCE, Promise
+from uncal.reporting.rows import ResultRow, Summary, results_table, summarise
+from uncal.uncertainty.quantile import samples_needed
 
 __all__ = [
     "COLUMNS",
@@ -56,6 +63,8 @@ def write_results(
     label: str,
     notes: Sequence[str] = (),
     extra: Mapping[str, str] | None = None,
+    sections: Sequence[Section] = (),
+    promise: Promise = "exact",
 ) -> tuple[Path, Path]:
     """Write ``results.csv`` and ``results.md``, each whole or not at all.
 
@@ -68,15 +77,28 @@ def write_results(
         label: what data this is, for the heading, such as "simulated".
         notes: sentences to print below the table.
         extra: further named lines of the summary, such as the image-blind control.
+        sections: smaller tables to add below.
+        promise: what the interval method promises; only the exact law's band is called allowed.
 
     Returns:
         The paths of the csv and of the md.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    table, text = folder / "results.csv", folder / "results.md"
-    _write(table, _csv(rows))
-    _write(text, _markdown(rows, summary, label, notes, extra or {}))
-    return table, text
+    lines = [f"# Results on {label} data", "", _sizes(summary), ""]
+    lines += markdown_lines(_grid(rows, promise))
+    lines += ["", *(f"- {text}" for text in _summary_lines(summary, extra or {})), ""]
+    lines += [f"- {text}" for text in [*_explanations(rows, promise), *notes]]
+    lines.append(
+        "- `results.csv` has the same numbers unrounded, one row per DoF and level: `level`, "
+        "`picp`, `coverage_low`, `coverage_high` in percent, the others in the row's `unit`."
+    )
+    for section in sections:
+        lines += ["", f"## {section.title}", "", *markdown_lines(section.grid), ""]
+        lines += [f"- {note}" for note in section.notes]
+    return (
+        write_whole(folder / "results.csv", csv_text(COLUMNS, (astuple(row) for row in rows))),
+        write_whole(folder / "results.md", "\n".join(lines) + "\n"),
+    )
 
 
 def format_terminal(
@@ -86,6 +108,8 @@ def format_terminal(
     label: str,
     notes: Sequence[str] = (),
     extra: Mapping[str, str] | None = None,
+    sections: Sequence[Section] = (),
+    promise: Promise = "exact",
 ) -> str:
     """The table as aligned plain text of at most :data:`TERMINAL_WIDTH` columns.
 
@@ -95,60 +119,44 @@ def format_terminal(
         label: what data this is, for the heading, such as "simulated".
         notes: sentences to print below the table.
         extra: further named lines of the summary, such as the image-blind control.
+        sections: smaller tables to add below.
+        promise: what the interval method promises; only the exact law's band is called allowed.
     """
-    grid = _grid(rows)
-    first = max(len(line[0]) for line in grid)
-    others = max(len(cell) for line in grid for cell in line[1:])
+    grid = _grid(rows, promise)
     heading = f"Results on {label} data"
     lines = [heading, "=" * len(heading), _sizes(summary), ""]
-    for line in grid:
-        if line is not grid[0] and line[0].endswith("(%)"):
-            lines.append("")
-        cells = "".join(f"  {cell:>{others}}" for cell in line[1:])
-        lines.append(f"{line[0]:<{first}}{cells}")
-    lines.append("")
-    for text in [*_summary_lines(summary, extra or {}), *_explanations(rows), *notes]:
-        lines.append(textwrap.fill(text, TERMINAL_WIDTH, subsequent_indent="  "))
+    levels = [index for index, line in enumerate(grid) if line[0].endswith("(%)")]
+    lines += [*aligned_lines(grid, gaps=levels), ""]
+    lines += _wrapped(_summary_lines(summary, extra or {}))
+    lines += _wrapped([*_explanations(rows, promise), *notes])
+    for section in sections:
+        lines += ["", section.title, "-" * len(section.title), *aligned_lines(section.grid), ""]
+        lines += _wrapped(section.notes)
     return "\n".join(lines)
 
 
-def _markdown(
-    rows: Sequence[ResultRow],
-    summary: Summary,
-    label: str,
-    notes: Sequence[str],
-    extra: Mapping[str, str],
-) -> str:
-    header, *body = _grid(rows)
-    lines = [f"# Results on {label} data", "", _sizes(summary), ""]
-    lines += [_md_line(header), _md_line([":--"] + ["--:"] * (len(header) - 1))]
-    lines += [_md_line(line) for line in body]
-    lines += ["", *(f"- {text}" for text in _summary_lines(summary, extra)), ""]
-    lines += [f"- {text}" for text in [*_explanations(rows), *notes]]
-    lines.append(
-        "- `results.csv` has the same numbers unrounded, one row per DoF and level: `level`, "
-        "`picp`, `coverage_low`, `coverage_high` in percent, the others in the row's `unit`."
-    )
-    return "\n".join(lines) + "\n"
+def _wrapped(texts: Sequence[str]) -> list[str]:
+    return [textwrap.fill(text, TERMINAL_WIDTH, subsequent_indent="  ") for text in texts]
 
 
-def _grid(rows: Sequence[ResultRow]) -> list[list[str]]:
+def _grid(rows: Sequence[ResultRow], promise: Promise) -> list[list[str]]:
     """DoF as columns like the paper's table: a heading, the errors, three lines per level."""
     levels = list(dict.fromkeys(row.level for row in rows))
     at_level = {level: [row for row in rows if row.level == level] for level in levels}
-    first = at_level[levels[0]]
+    errors = at_level[levels[0]]
     lines = [
-        ["", *(f"{row.dof} ({row.unit})" for row in first)],
-        ["MAE before", *(_length(row.mae_before, row) for row in first)],
-        ["MAE after", *(_length(row.mae_after, row) for row in first)],
-        ["after / before", *(_number(row.ratio, 2) for row in first)],
+        ["", *(f"{row.dof} ({row.unit})" for row in errors)],
+        ["MAE before", *(_length(row.mae_before, row) for row in errors)],
+        ["MAE after", *(_length(row.mae_after, row) for row in errors)],
+        ["after / before", *(number(row.ratio, 2) for row in errors)],
     ]
     for level, group in at_level.items():
-        band = f"{group[0].coverage_low:.1f}-{group[0].coverage_high:.1f}"
-        marks = ["" if row.in_band else "*" for row in group]
+        first, exact = group[0], promise == "exact"
+        allowed = f", allowed {first.coverage_low:.1f}-{first.coverage_high:.1f}" if exact else ""
+        marks = ["*" if exact and not row.in_band else "" for row in group]
         lines += [
             [
-                f"{level:g}% PICP, allowed {band} (%)",
+                f"{level:g}% PICP{allowed} (%)",
                 *(f"{row.picp:.1f}{mark}" for row, mark in zip(group, marks, strict=True)),
             ],
             [f"{level:g}% MPIW", *(_length(row.mpiw, row) for row in group)],
@@ -166,7 +174,7 @@ def _sizes(summary: Summary) -> str:
 
 def _summary_lines(summary: Summary, extra: Mapping[str, str]) -> list[str]:
     return [
-        f"Mean over the DoF of MAE after / before: {_number(summary.mean_ratio, 3)}",
+        f"Mean over the DoF of MAE after / before: {number(summary.mean_ratio, 3)}",
         f"Mean translation error: {summary.translation_after:.2f} cm "
         f"(decalibration: {summary.translation_before:.2f} cm)",
         f"Mean rotation error: {summary.rotation_after:.3f}° "
@@ -175,8 +183,23 @@ def _summary_lines(summary: Summary, extra: Mapping[str, str]) -> list[str]:
     ]
 
 
-def _explanations(rows: Sequence[ResultRow]) -> list[str]:
+_WITHOUT_LAW = {
+    "none": "This interval method promises no coverage. The band columns of the csv files say what "
+    "split conformal intervals would be allowed here: a yardstick, nothing more.",
+    "by group": "This interval method promises its coverage by group, which the exact law of "
+    "pooled frames does not describe: the band columns of the csv files are only a yardstick.",
+}
+
+_TOO_FEW_GROUPS = (
+    "∞: too few groups, or frames of a group, in the uncertainty calibration set for that level."
+)
+
+
+def _explanations(rows: Sequence[ResultRow], promise: Promise) -> list[str]:
     """What the reader needs to know about this table, and no more."""
+    if promise != "exact":
+        too_few = promise == "by group" and any(math.isinf(row.mpiw) for row in rows)
+        return [_WITHOUT_LAW[promise], *([_TOO_FEW_GROUPS] if too_few else [])]
     lines = [
         "Allowed: the coverage that exact theory (Beta-Binomial law) gives one DoF with "
         f"probability {100 * BAND_CONFIDENCE:g}% at these sample sizes, if the frames of both "
@@ -197,33 +220,4 @@ def _explanations(rows: Sequence[ResultRow]) -> list[str]:
 
 def _length(value: float, row: ResultRow) -> str:
     """Tenths of a millimetre, thousandths of a degree."""
-    return _number(value, 2 if row.unit == "cm" else 3)
-
-
-def _number(value: float, digits: int) -> str:
-    if math.isnan(value):
-        return "–"
-    return "∞" if math.isinf(value) else f"{value:.{digits}f}"
-
-
-def _md_line(cells: Iterable[str]) -> str:
-    return "| " + " | ".join(cells) + " |"
-
-
-def _csv(rows: Sequence[ResultRow]) -> str:
-    buffer = io.StringIO()
-    writer = csv.writer(buffer, lineterminator="\n")
-    writer.writerow(COLUMNS)
-    # repr is the shortest text that reads back as the same float.
-    writer.writerows(
-        [repr(value) if isinstance(value, float) else value for value in asdict(row).values()]
-        for row in rows
-    )
-    return buffer.getvalue()
-
-
-def _write(path: Path, text: str) -> None:
-    """Whole or not at all: a reader never sees half a table."""
-    partial = path.with_name(f".{path.name}.partial")
-    partial.write_text(text, encoding="utf-8")
-    partial.replace(path)
+    return number(value, 2 if row.unit == "cm" else 3)

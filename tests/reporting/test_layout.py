@@ -1,0 +1,39 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+from uncal.reporting.layout import aligned_lines, csv_text, markdown_lines, number, write_whole
+
+
+def test_columns_line_up_and_gaps_are_where_asked() -> None:
+    grid = [["", "X", "Yaw"], ["long name", "1.0", "22.5"], ["b", "–", "∞"]]
+    lines = aligned_lines(grid, gaps=[2])
+    assert lines[2] == ""
+    assert len({len(line) for line in lines if line}) == 1
+    assert lines[3] == "b             –     ∞"
+
+
+def test_a_bar_in_a_cell_does_not_end_it() -> None:
+    assert markdown_lines([["", "X"], ["mean |error|", "1"]])[2] == r"| mean \|error\| | 1 |"
+
+
+def test_csv_drops_columns_that_no_row_has_and_keeps_floats() -> None:
+    rows = [[0.1 + 0.2, None, None, True], [float("inf"), None, 2, False]]
+    assert csv_text(["a", "b", "c", "d"], rows) == (
+        "a,c,d\n0.30000000000000004,,True\ninf,2,False\n"
+    )
+
+
+def test_numbers() -> None:
+    assert [number(v, 1) for v in (None, float("nan"), float("inf"), 2.26)] == [
+        "–",
+        "–",
+        "∞",
+        "2.3",
+    ]
+
+
+def test_nothing_partial_is_left(tmp_path: Path) -> None:
+    path = write_whole(tmp_path / "a.csv", "x\n")
+    write_whole(path, "y\n")
+    assert [(each.name, each.read_text()) for each in tmp_path.iterdir()] == [("a.csv", "y\n")]

@@ -1,0 +1,1 @@
+"""Event cameras: the stream and the tensors made of it."""

@@ -1,0 +1,190 @@
+"""Coverage within bins of something else, such as σ or the size of the decalibration.
+
+A guarantee over all samples allows a method to fail on the hard ones and make up for it on the
+easy ones. Split by what makes samples hard, the coverage shows it.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+
+class BinnedCoverage(NamedTuple):
+    """Coverage per bin and output.
+
+    Attributes:
+        edges: (G-1, D) inner edges; bin g holds edges[g-1] ≤ value < edges[g], the first bin all
+            below its edge, the last all from its edge on.
+        counts: (G, D) int64, samples per bin.
+        coverage: (G, D) covered fraction in 0..1; NaN in an empty bin.
+    """
+
+    edges: Tensor
+    counts: Tensor
+    coverage: Tensor
+
+
+def quantile_edges(values: Tensor, bins: int) -> Tensor:
+    """Inner edges of bins that hold about as many samples each: the order statistics ⌊gn/G⌋.
+
+    Equal values are never split, since an edge belongs to the upper bin: with ties, or fewer
+    samples than bins, some bins are larger and some empty.
+
+    Args:
+        values: (n, D) what to split by.
+        bins: G, at least 1.
+
+    Returns:
+        (G-1, D) edges, not decreasing.
+
+    Raises:
+        ValueError: no samples, NaN, another shape, or no bins.
+
+    >>> quantile_edges(torch.arange(6.0)[:, None], bins=3).flatten().tolist()
+    [2.0, 4.0]
+    """
+    if bins < 1:
+        raise ValueError(f"bins = {bins}; expected at least 1, such as 3 for terciles.")
+    _check_values(values)
+    n = len(values)
+    ranks = torch.tensor([g * n // bins for g in range(1, bins)], dtype=torch.int64)
+    return values.sort(dim=0).values[ranks.to(values.device)]
+
+
+def coverage_by_bin(covered: Tensor, values: Tensor, bins: int | Tensor) -> BinnedCoverage:
+    """Coverage of the samples in each bin of a value, per output.
+
+    Args:
+        covered: (n, D) bool, :func:`uncal.metrics.functional.covered`.
+        values: (n, D) what to split by, per output; or (n,), the same for all outputs.
+        bins: the number G of quantile bins (:func:`quantile_edges` of these values), or the inner
+            edges, (G-1,) or (G-1, D), not decreasing.
+
+    Returns:
+        Edges, counts and coverage.
+
+    Raises:
+        ValueError: other shapes, no samples, NaN, no bins, or decreasing edges.
+
+    >>> inside = torch.tensor([[True], [True], [True], [False]])
+    >>> coverage_by_bin(inside, torch.tensor([1.0, 2.0, 3.0, 4.0]), bins=2).coverage.tolist()
+    [[1.0], [0.5]]
+    """
+    values = check_binnable(covered, values)
+    if isinstance(bins, int):
+        edges = quantile_edges(values, bins)
+    else:
+        edges = check_edges(bins, values.shape[1]).to(values.device)
+    counts, hits = count_by_bin(covered, values, edges)
+    return BinnedCoverage(edges, counts, hits / counts)
+
+
+def worst_bin_coverage(binned: BinnedCoverage, min_count: int = 1) -> Tensor:
+    """The lowest coverage of any bin, per output.
+
+    The lowest of several noisy fractions is below the level even where nothing is wrong, and the
+    more so the smaller the bins.
+
+    Args:
+        binned: :func:`coverage_by_bin`.
+        min_count: bins with fewer samples are left out; at least 1.
+
+    Returns:
+        (D,) fraction in 0..1; NaN where no bin has enough samples.
+
+    Raises:
+        ValueError: ``min_count`` below 1.
+
+    >>> inside = torch.tensor([[True], [True], [True], [False]])
+    >>> binned = coverage_by_bin(inside, torch.tensor([1.0, 2.0, 3.0, 4.0]), bins=2)
+    >>> worst_bin_coverage(binned).item()
+    0.5
+    """
+    if min_count < 1:
+        raise ValueError(f"min_count = {min_count}; an empty bin has no coverage, expected ≥ 1.")
+    usable = binned.counts >= min_count
+    lowest = torch.where(usable, binned.coverage, torch.inf).min(0).values
+    return torch.where(usable.any(0), lowest, torch.nan)
+
+
+def count_by_bin(covered: Tensor, values: Tensor, edges: Tensor) -> tuple[Tensor, Tensor]:
+    """Samples and covered samples per bin, which sum over batches and processes.
+
+    Args:
+        covered: (n, D) bool.
+        values: (n, D) what to split by.
+        edges: (G-1, D) inner edges of the values' type or wider, so that none is rounded.
+
+    Returns:
+        (G, D) int64 samples, and (G, D) int64 of them covered.
+    """
+    kind = torch.promote_types(values.dtype, edges.dtype)
+    rows = torch.searchsorted(
+        edges.to(kind).T.contiguous(), values.to(kind).T.contiguous(), right=True
+    )
+    index = rows.T
+    zeros = torch.zeros(len(edges) + 1, values.shape[1], dtype=torch.int64, device=values.device)
+    counts = zeros.scatter_add(0, index, torch.ones_like(index))
+    return counts, zeros.scatter_add(0, index, covered.to(torch.int64))
+
+
+def check_binnable(covered: Tensor, values: Tensor) -> Tensor:
+    """The (n, D) values that belong to (n, D) covered samples.
+
+    Args:
+        covered: (n, D) bool.
+        values: (n, D), or (n,) for all outputs alike.
+
+    Raises:
+        ValueError: other shapes or types, no samples, or NaN.
+    """
+    if covered.ndim != 2 or covered.dtype != torch.bool:
+        raise ValueError(
+            f"covered of shape {tuple(covered.shape)} and type {covered.dtype}; expected (n, D) "
+            "bool, such as functional.covered gives."
+        )
+    if values.ndim == 1 and len(values) == len(covered):
+        values = values[:, None].expand(covered.shape)
+    if values.shape != covered.shape:
+        raise ValueError(
+            f"values {tuple(values.shape)} for covered {tuple(covered.shape)}; expected one per "
+            "sample, (n,), or one per sample and output, (n, D)."
+        )
+    _check_values(values)
+    return values
+
+
+def check_edges(edges: Tensor, num_outputs: int) -> Tensor:
+    """The inner edges as (G-1, D).
+
+    Args:
+        edges: (G-1,) or (G-1, D).
+        num_outputs: D.
+
+    Raises:
+        ValueError: another shape, NaN, or decreasing edges.
+    """
+    wide = edges[:, None].expand(-1, num_outputs) if edges.ndim == 1 else edges
+    if wide.ndim != 2 or wide.shape[1] != num_outputs:
+        raise ValueError(
+            f"edges of shape {tuple(edges.shape)}; expected (G-1,) or (G-1, {num_outputs}) inner "
+            "edges for G bins."
+        )
+    if wide.isnan().any() or (wide[1:] < wide[:-1]).any():
+        raise ValueError(f"edges {edges.tolist()} must not decrease or be NaN; sort them.")
+    return wide
+
+
+def _check_values(values: Tensor) -> None:
+    if values.ndim != 2 or values.numel() == 0:
+        raise ValueError(
+            f"values of shape {tuple(values.shape)}; expected (n, D) with at least one sample."
+        )
+    if n_nan := int(values.isnan().sum()):
+        raise ValueError(
+            f"{n_nan} of {values.numel()} values to bin by are NaN and belong to no bin; leave "
+            "those samples out."
+        )

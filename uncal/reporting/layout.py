@@ -1,0 +1,112 @@
+"""Lay out small tables as Markdown, as aligned text and as csv, and write files whole."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True)
+class Section:
+    """A small table under the main one.
+
+    Attributes:
+        title: what it shows.
+        grid: rows of cells, the first the header; the first column names the rows.
+        notes: sentences to print below.
+    """
+
+    title: str
+    grid: Sequence[Sequence[str]]
+    notes: Sequence[str] = ()
+
+
+def markdown_lines(grid: Sequence[Sequence[str]]) -> list[str]:
+    """A grid as a Markdown table, numbers to the right.
+
+    Args:
+        grid: rows of cells, the first the header.
+
+    >>> markdown_lines([["", "X"], ["MAE", "1.0"]])
+    ['|  | X |', '| :-- | --: |', '| MAE | 1.0 |']
+    """
+    header, *body = grid
+    rule = [":--"] + ["--:"] * (len(header) - 1)
+    escaped = [[cell.replace("|", "\\|") for cell in line] for line in (header, rule, *body)]
+    return ["| " + " | ".join(cells) + " |" for cells in escaped]
+
+
+def aligned_lines(grid: Sequence[Sequence[str]], gaps: Collection[int] = ()) -> list[str]:
+    """A grid as plain text, numbers to the right, all their columns equally wide.
+
+    Args:
+        grid: rows of cells, the first the header.
+        gaps: rows to leave a blank line before.
+
+    >>> aligned_lines([["", "X"], ["MAE", "1.0"]])
+    ['       X', 'MAE  1.0']
+    """
+    first = max(len(line[0]) for line in grid)
+    others = max(len(cell) for line in grid for cell in line[1:])
+    lines = []
+    for index, line in enumerate(grid):
+        if index in gaps:
+            lines.append("")
+        lines.append(f"{line[0]:<{first}}" + "".join(f"  {cell:>{others}}" for cell in line[1:]))
+    return lines
+
+
+def csv_text(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    r"""Rows as csv in which every float reads back exactly; columns that no row has are left out.
+
+    Args:
+        columns: the header.
+        rows: one value per column; None where the row has none.
+
+    >>> csv_text(["level", "joint"], [[90.0, None], [95.0, None]])
+    'level\n90.0\n95.0\n'
+    """
+    table = [list(row) for row in rows]
+    kept = [j for j in range(len(columns)) if any(row[j] is not None for row in table)]
+    buffer = io.StringIO()
+    writer = csv.writer(buffer, lineterminator="\n")
+    writer.writerow([columns[j] for j in kept])
+    # repr is the shortest text that reads back as the same float.
+    writer.writerows(
+        [repr(row[j]) if isinstance(row[j], float) else row[j] for j in kept] for row in table
+    )
+    return buffer.getvalue()
+
+
+def write_whole(path: Path, text: str) -> Path:
+    """Write a file whole or not at all: a reader never sees half a table.
+
+    Args:
+        path: the file, in a folder that exists.
+        text: its content.
+
+    Returns:
+        The path.
+    """
+    partial = path.with_name(f".{path.name}.partial")
+    partial.write_text(text, encoding="utf-8")
+    return partial.replace(path)
+
+
+def number(value: float | None, digits: int) -> str:
+    """A number for a cell: "–" for none or NaN, "∞" for infinite.
+
+    Args:
+        value: the number.
+        digits: after the point.
+
+    >>> number(1.25, 1), number(float("inf"), 1), number(None, 1)
+    ('1.2', '∞', '–')
+    """
+    if value is None or math.isnan(value):
+        return "–"
+    return "∞" if math.isinf(value) else f"{value:.{digits}f}"
