@@ -72,7 +72,7 @@ def test_wrong_insertions() -> None:
     network = nn.Sequential(nn.Linear(4, 4), nn.LSTM(4, 4))
     with pytest.raises(ConfigurationError, match=r"p = 1\.0"):
         insert_dropout(network, ["Linear"], 1.0)
-    with pytest.raises(ConfigurationError, match="'Conv2d'.*LSTM, Linear"):
+    with pytest.raises(ConfigurationError, match=r"'Conv2d'.*LSTM, Linear"):
         insert_dropout(network, ["Conv2d"], 0.1)
     insert_dropout(network, ["Linear"], 0.1)
     with pytest.raises(ConfigurationError, match="0 is followed by an inserted"):

@@ -28,7 +28,6 @@ class ImageTransformer(nn.Module):
                 image_size=16,
                 patch_size=4,
                 hidden_dropout_prob=0.2,
-                attn_implementation="eager",
             ),
             add_pooling_layer=False,
         )

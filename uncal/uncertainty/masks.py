@@ -2,8 +2,8 @@
 
 A mask is not drawn from a generator whose state depends on what was drawn before; it is a hash of
 (seed, layer, pass, row). So a pass is the same whether it runs alone or in a batch of N, on one
-process or on two, on a CPU or on a GPU. The hash is SplitMix64 (Steele, Lea, Flood, OOPSLA 2014) run
-as a counter: word j of a stream with key s is mix(s + (j + 1) γ). Each 64-bit word serves four
+process or on two, on a CPU or on a GPU. The hash is SplitMix64 (Steele, Lea, Flood, OOPSLA 2014)
+run as a counter: word j of a stream with key s is mix(s + (j + 1) γ). Each 64-bit word serves four
 elements, so that rates are exact to 1/65,536.
 """
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 import torch
 from torch import Tensor
 from torch.utils._pytree import tree_map_only
+
+_Tree = TypeVar("_Tree")
 
 _ATTRIBUTES = ("shape", "dtype", "device", "ndim")
 _QUESTIONS = {
@@ -36,7 +38,7 @@ class Replicated(Tensor):
     axis: int
 
     @staticmethod
-    def __new__(cls, source: Tensor, times: int, axis: int = 0) -> Replicated:
+    def __new__(cls: type[Replicated], source: Tensor, times: int, axis: int = 0) -> Replicated:
         """Remember the source, (B, ...) or, with axis 1, (length, B, ...); nothing is copied."""
         shape = [times * n if i == axis else n for i, n in enumerate(source.shape)]
         lazy: Replicated = torch.Tensor._make_wrapper_subclass(
@@ -57,7 +59,7 @@ class Replicated(Tensor):
         types: Sequence[type],
         args: tuple[Any, ...] = (),
         kwargs: Mapping[str, Any] | None = None,
-    ) -> Any:
+    ) -> object:
         """Answer questions about the shape; make the copies for everything else."""
         with torch._C.DisableTorchFunctionSubclass():
             if func in _QUESTIONS:
@@ -71,10 +73,11 @@ class Replicated(Tensor):
         types: Sequence[type],
         args: tuple[Any, ...] = (),
         kwargs: Mapping[str, Any] | None = None,
-    ) -> Any:
+    ) -> object:
         """The same, where torch's C++ code comes across the copies by itself."""
         return func(*_copied(args), **_copied(dict(kwargs or {})))
 
 
-def _copied(tree: Any) -> Any:
-    return tree_map_only(Replicated, Replicated.materialise, tree)
+def _copied(tree: _Tree) -> _Tree:
+    copied: _Tree = tree_map_only(Replicated, Replicated.materialise, tree)
+    return copied

@@ -128,8 +128,9 @@ class StochasticLayers:
 
 
 class FirstDropout(BaseException):
-    """Ends a run of the network at its first dropout layer; no error, so no ``except Exception``
-    in the network stops it.
+    """Ends a run of the network at its first dropout layer.
+
+    Not an error: no ``except Exception`` inside the network is meant to stop it.
     """
 
 
