@@ -11,7 +11,6 @@ from transformers import MobileViTConfig, MobileViTModel
 from transformers.models.mobilevit.modeling_mobilevit import MobileViTLayer
 
 from uncal.errors import ConfigurationError
-from uncal.models.attention import use_fused_attention
 from uncal.models.correlation import EdgeCorrelation
 from uncal.models.dropout import use_fast_dropout
 
@@ -58,7 +57,7 @@ class MobileViT(nn.Module):
             self.body = MobileViTModel.from_pretrained(
                 pretrained, ignore_mismatched_sizes=True, expand_output=False, **sizes
             )
-        use_fused_attention(use_fast_dropout(self.body))
+        use_fast_dropout(self.body)
         self.channels: tuple[int, ...] = tuple(neck_hidden_sizes[1:6])
 
     def forward(self, x: Tensor) -> list[Tensor]:
@@ -168,7 +167,7 @@ class CorrelationMobileViT(nn.Module):
             )
             for i in range(len(layers))
         )
-        use_fused_attention(use_fast_dropout(self.stages))
+        use_fast_dropout(self.stages)
         self.channels: tuple[int, ...] = tuple(channels[1:])
 
     def forward(self, x: Tensor) -> list[Tensor]:

@@ -39,14 +39,10 @@ def dropout_layers(network: nn.Module, select: Sequence[str] | None = None) -> d
     (['0', '2'], ['2'])
     """
     if select is None:
-        return {
-            name: module
-            for name, module in network.named_modules()
-            if isinstance(module, _DropoutNd)
-        }
+        return {name: module for name, module in walk(network) if isinstance(module, _DropoutNd)}
     candidates = {
         name: module
-        for name, module in network.named_modules()
+        for name, module in walk(network)
         if isinstance(getattr(module, "p", None), float | int)
     }
     found = set()
@@ -59,6 +55,26 @@ def dropout_layers(network: nn.Module, select: Sequence[str] | None = None) -> d
             )
         found |= hits
     return {name: module for name, module in candidates.items() if name in found}
+
+
+def walk(network: nn.Module) -> Iterator[tuple[str, nn.Module]]:
+    """``network.named_modules()`` without its nested generators, which cost more than small nets.
+
+    >>> net = nn.Sequential(nn.Sequential(nn.ReLU()), nn.ReLU())
+    >>> list(walk(net)) == list(net.named_modules())
+    True
+    """
+    seen: set[nn.Module] = set()
+    stack: list[tuple[str, nn.Module]] = [("", network)]
+    while stack:
+        name, module = stack.pop()
+        if module in seen:
+            continue
+        seen.add(module)
+        yield name, module
+        prefix = f"{name}." if name else ""
+        children = [(prefix + key, m) for key, m in module._modules.items() if m is not None]
+        stack.extend(reversed(children))
 
 
 def dropout_rates(network: nn.Module, select: Sequence[str] | None = None) -> dict[str, float]:
@@ -159,19 +175,20 @@ def only_active(network: nn.Module, active: Sequence[nn.Module]) -> Iterator[Non
         network: any network; its flags are changed in place and restored.
         active: the layers to switch on.
     """
-    flags = [(module, module.training) for module in network.modules()]
+    # Past nn.Module.__setattr__, which would take longer than a small network's pass.
+    flags = [(module.__dict__, module.training) for _, module in walk(network)]
     fastpath = torch.backends.mha.get_fastpath_enabled()
     try:
         torch.backends.mha.set_fastpath_enabled(False)
-        for module, _ in flags:
-            module.training = False
+        for attributes, _ in flags:
+            attributes["training"] = False
         for layer in active:
             layer.train()
         yield
     finally:
         torch.backends.mha.set_fastpath_enabled(fastpath)
-        for module, training in flags:
-            module.training = training
+        for attributes, training in flags:
+            attributes["training"] = training
 
 
 def _matches(entry: str, name: str, module: nn.Module) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import torch
 from torch import Tensor, nn
@@ -132,18 +132,35 @@ class MCDropout:
                 input row, σ = 0 everywhere, a strategy that does not fit the network, or fixed
                 masks for inputs of another size.
         """
-        arguments = Arguments.of(args, kwargs)
-        active = self._active_layers()
-        seeds = self._row_seeds(seed, arguments)
-        run = Passes(_plain(self.network), active, self.masks, seeds)
-        with torch.inference_mode(), only_active(self.network, list(active.values())), run:
-            strategy, chunk = self._plan(run, arguments)
-            samples = run.sample(strategy, chunk, range(self.passes), arguments)
         # A copy outside inference mode can be used with autograd.
-        samples = samples.clone()
+        samples = self.sampler(*args, seed=seed, **kwargs)().clone()
         prediction = Prediction.of(samples, self.keep_samples)
         self._check_spread(prediction, samples)
         return prediction
+
+    def sampler(
+        self, *args: object, seed: int | Sequence[int] | None = None, **kwargs: object
+    ) -> Callable[[], Tensor]:
+        """The passes alone, to be run again and again on the same tensors (as a CUDA graph, say).
+
+        Args:
+            *args: the network's arguments, as in a call.
+            seed: as in a call.
+            **kwargs: the network's keyword arguments.
+
+        Returns:
+            A function that gives the (N, B, D) passes.
+        """
+        arguments = Arguments.of(args, kwargs)
+        active = self._active_layers()
+        run = Passes(_plain(self.network), active, self.masks, self._row_seeds(seed, arguments))
+
+        def sample() -> Tensor:
+            with torch.inference_mode(), only_active(self.network, list(active.values())), run:
+                strategy, chunk = self._plan(run, arguments)
+                return run.sample(strategy, chunk, range(self.passes), arguments)
+
+        return sample
 
     def plan(self) -> dict[tuple[object, ...], tuple[str, int]]:
         """Strategy and rows per call in use, by the inputs' shapes and types."""

@@ -33,6 +33,7 @@ class Prediction:
             samples: (N, B, D) the passes.
             keep: hold on to them.
 
+        >>> import torch
         >>> prediction = Prediction.of(torch.tensor([[[1.0]], [[3.0]]]))
         >>> prediction.mean.item(), prediction.std.item()
         (2.0, 1.0)
@@ -52,6 +53,7 @@ class Prediction:
         Raises:
             UncertaintyError: the samples were not kept, or n is out of range.
 
+        >>> import torch
         >>> many = Prediction.of(torch.arange(12.0).view(4, 3, 1), keep=True)
         >>> many.first(2).mean.flatten().tolist()
         [1.5, 2.5, 3.5]

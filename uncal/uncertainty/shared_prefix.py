@@ -8,7 +8,7 @@ reshape) are done again per pass; that is the price, small where the work is in 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Set
 from contextlib import AbstractContextManager
 from typing import NamedTuple
 
@@ -38,6 +38,30 @@ def _source(tensor: Tensor) -> Tensor:
     return tensor.source if isinstance(tensor, Replicated) else tensor
 
 
+def without(network: nn.Module, stochastic: Set[nn.Module]) -> list[nn.Module]:
+    """Modules that have none of some modules inside and are not one of them.
+
+    Args:
+        network: where to look.
+        stochastic: those not to be found inside.
+    """
+    pure: dict[nn.Module, bool] = {}
+
+    def look(module: nn.Module) -> bool:
+        if module not in pure:
+            children = (child for child in module._modules.values() if child is not None)
+            inside = [look(child) for child in children]
+            pure[module] = all(inside) and module not in stochastic
+        return pure[module]
+
+    look(network)
+    return [m for m, is_pure in pure.items() if is_pure and not _is_script(m)]
+
+
+def _is_script(module: nn.Module) -> bool:
+    return isinstance(module, torch.jit.ScriptModule)
+
+
 class SharedPrefix:
     """Remembers outputs of the modules that run before the first dropout.
 
@@ -47,13 +71,7 @@ class SharedPrefix:
     """
 
     def __init__(self, network: nn.Module, active: Iterable[nn.Module]) -> None:
-        stochastic = set(active)
-        self._pure = [
-            module
-            for module in network.modules()
-            if not isinstance(module, torch.jit.ScriptModule)
-            and stochastic.isdisjoint(module.modules())
-        ]
+        self._pure = without(network, set(active))
         self._log: list[_Known] = []
         self._recording = self._replaying = False
         self._position = self._depth = self._times = self._rows = 0

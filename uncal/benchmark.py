@@ -1,0 +1,114 @@
+"""What stochastic passes cost and are worth: ``python -m uncal.benchmark``."""
+
+from __future__ import annotations
+
+import logging
+import sys
+from pathlib import Path
+
+import hydra
+import torch
+from hydra import compose
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig
+from torch import Tensor
+
+from uncal.assembly import build_module, choice
+from uncal.benchmarking.latency import measure_latency
+from uncal.benchmarking.tables import write_latency, write_trade
+from uncal.benchmarking.trade import measure_trade
+from uncal.configuration import CONFIG_DIR, exits_on_error, quiet_libraries
+from uncal.errors import ConfigurationError
+from uncal.memory import keep_freed_memory
+
+log = logging.getLogger(__name__)
+
+
+@hydra.main(version_base="1.3", config_path=CONFIG_DIR, config_name="benchmark")
+@exits_on_error
+def main(config: DictConfig) -> None:
+    """Measure, write, show.
+
+    Args:
+        config: conf/benchmark.yaml with the command line's overrides.
+    """
+    keep_freed_memory()
+    quiet_libraries()
+    folder = Path(HydraConfig.get().runtime.output_dir)
+    device = pick_device(config.device)
+    compiled = device.type == "cuda" if config.compile == "auto" else bool(config.compile)
+    rows = []
+    for case in filter(None, (config.cases or {}).values()):
+        model = compose("train", overrides=[*case.model, "mcd.chunk=auto"])
+        estimator = build_module(model).estimator.to(device)
+        for batch in case.batches:
+            inputs = made_up(estimator.bounds, tuple(case.size), batch, device)
+            rows += measure_latency(
+                f"{case.name} {case.size[0]}×{case.size[1]}",
+                estimator,
+                inputs,
+                config.passes,
+                config.rounds,
+                compiled,
+            )
+    where = f"{device_name(device)}, {torch.get_num_threads()} threads, torch {torch.__version__}"
+    if rows:
+        text = write_latency(folder, rows, config.passes, config.rounds, where)
+        sys.stdout.write(f"\n{text}\n{folder}/latency.csv\n")
+    if config.ckpt is not None:
+        trade, label = measure_trade(Path(config.ckpt), config.data_root, config.rounds, device)
+        text = write_trade(folder, trade, label, config.ckpt, where)
+        sys.stdout.write(f"\n{text}\n{folder}/trade.png\n")
+    elif not rows:
+        raise ConfigurationError("no case and no ckpt: there is nothing to measure")
+
+
+def pick_device(name: str) -> torch.device:
+    """The device to measure on.
+
+    Args:
+        name: auto, cpu or cuda.
+
+    Raises:
+        ConfigurationError: another name, or a GPU that is not there.
+    """
+    choice("device", name, ("auto", "cpu", "cuda"))
+    if name == "cuda" and not torch.cuda.is_available():
+        raise ConfigurationError("device=cuda: torch finds no GPU here; use device=cpu")
+    return torch.device("cuda" if name != "cpu" and torch.cuda.is_available() else "cpu")
+
+
+def device_name(device: torch.device) -> str:
+    """For people."""
+    return torch.cuda.get_device_name(device) if device.type == "cuda" else "CPU"
+
+
+def made_up(
+    bounds: Tensor, size: tuple[int, ...], batch: int, device: torch.device
+) -> tuple[Tensor, ...]:
+    """Inputs of the right shapes: noise, and a tenth of the pixels with a LiDAR point.
+
+    Args:
+        bounds: (6,), of the estimator; tells the number type.
+        size: (H, W).
+        batch: B.
+        device: where to.
+
+    Returns:
+        x (B, 5, H, W), inverse depth (B, 1, H, W), K (B, 3, 3), T_init (B, 4, 4).
+    """
+    generator = torch.Generator().manual_seed(0)
+    height, width = size
+    depth = torch.rand(batch, 1, height, width, generator=generator)
+    inverse_depth = torch.where(depth < 0.1, depth, 0.0)
+    image = torch.randn(batch, 3, height, width, generator=generator)
+    x = torch.cat([image, inverse_depth, inverse_depth], 1)
+    x = x.contiguous(memory_format=torch.channels_last)
+    K = torch.tensor([[230.0, 0.0, width / 2], [0.0, 230.0, height / 2], [0.0, 0.0, 1.0]])
+    T = torch.tensor([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
+    inputs = (x, inverse_depth, K.repeat(batch, 1, 1), T.repeat(batch, 1, 1))
+    return tuple(tensor.to(device, bounds.dtype) for tensor in inputs)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""What stochastic passes cost, and what they are worth."""

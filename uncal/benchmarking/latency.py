@@ -1,0 +1,190 @@
+"""Latency of stochastic passes in units of one deterministic pass, measured side by side."""
+
+from __future__ import annotations
+
+import logging
+import statistics
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+from torch.utils.flop_counter import FlopCounterMode
+from tqdm import tqdm
+
+from uncal.benchmarking.cuda_graph import graphed
+from uncal.benchmarking.placement import placements
+from uncal.uncertainty.masks import FixedMasks
+from uncal.uncertainty.mc_dropout import MCDropout
+
+log = logging.getLogger(__name__)
+
+DETERMINISTIC = "one deterministic pass"
+
+
+@dataclass(frozen=True)
+class LatencyRow:
+    """One contestant.
+
+    Attributes:
+        case: network and size of its input.
+        batch: frames at once.
+        dropout: where dropout is on.
+        contestant: strategy and masks.
+        milliseconds: median over the rounds.
+        ratio: median over the rounds of its time / that of one deterministic pass in the round.
+        ratio_low: smallest of those ratios.
+        ratio_high: largest of those ratios.
+        operations: multiplications and additions in units of one deterministic pass: the ratio
+            on a machine that is never kept waiting.
+    """
+
+    case: str
+    batch: int
+    dropout: str
+    contestant: str
+    milliseconds: float
+    ratio: float
+    ratio_low: float
+    ratio_high: float
+    operations: float
+
+
+@dataclass(frozen=True)
+class _Contestant:
+    dropout: str
+    name: str
+    call: Callable[[], object]
+
+
+def measure_latency(
+    case: str,
+    network: nn.Module,
+    inputs: Sequence[Tensor],
+    passes: int,
+    rounds: int,
+    compiled: bool,
+) -> list[LatencyRow]:
+    """Time all strategies in turn, round by round, so that a drifting machine drifts for all.
+
+    Args:
+        case: name for the rows.
+        network: (B, ...) inputs → (B, D).
+        inputs: its arguments.
+        passes: N.
+        rounds: how often each contestant runs after a warm-up.
+        compiled: add torch.compile (and, on a GPU, CUDA graphs).
+
+    Returns:
+        One row per contestant, the deterministic pass first.
+    """
+    network.eval()
+    contestants = _contestants(network, inputs, passes, compiled)
+    counts = [_operations(each.call) for each in contestants]
+    times: list[list[float]] = [[] for _ in contestants]
+    bar = tqdm(total=(rounds + 1) * len(contestants), desc=case, leave=False)
+    with bar:
+        for number in range(rounds + 1):
+            for each, measured in zip(contestants, times, strict=True):
+                seconds = _time(each.call, inputs[0].device)
+                if number > 0:  # the first round warms up
+                    measured.append(1e3 * seconds)
+                bar.update()
+    rows = []
+    for each, measured, count in zip(contestants, times, counts, strict=True):
+        ratios = [a / b for a, b in zip(measured, times[0], strict=True)]
+        rows.append(
+            LatencyRow(
+                case=case,
+                batch=len(inputs[0]),
+                dropout=each.dropout,
+                contestant=each.name,
+                milliseconds=statistics.median(measured),
+                ratio=statistics.median(ratios),
+                ratio_low=min(ratios),
+                ratio_high=max(ratios),
+                operations=count / counts[0] if counts[0] else float("nan"),
+            )
+        )
+    return rows
+
+
+def _contestants(
+    network: nn.Module, inputs: Sequence[Tensor], passes: int, compiled: bool
+) -> list[_Contestant]:
+    def once() -> object:
+        with torch.inference_mode():
+            return network(*inputs)
+
+    def asking(engine: MCDropout) -> Callable[[], object]:
+        return lambda: engine(*inputs, seed=0)
+
+    found = [_Contestant("off", DETERMINISTIC, once)]
+    for number, (where, layers) in enumerate(placements(network).items()):
+        if number == 0:
+            for strategy in ("loop", "batch"):
+                engine = MCDropout(network, passes, strategy=strategy, select=layers)
+                found.append(_Contestant(where, strategy, asking(engine)))
+        shared = MCDropout(network, passes, strategy="shared", select=layers)
+        found.append(_Contestant(where, "shared", asking(shared)))
+        masks = FixedMasks(0).to(inputs[0].device)
+        fixed = MCDropout(network, passes, strategy="shared", select=layers, masks=masks)
+        found.append(_Contestant(where, "shared, fixed masks", asking(fixed)))
+    return found + (_compiled(network, inputs, passes) if compiled else [])
+
+
+def _compiled(network: nn.Module, inputs: Sequence[Tensor], passes: int) -> list[_Contestant]:
+    """What compilers make of it; one that fails is reported and left out."""
+    tries: dict[str, Callable[[], Callable[[], object]]] = {
+        f"{DETERMINISTIC}, torch.compile": lambda: _compile(network, inputs)
+    }
+    if inputs[0].is_cuda:
+        tries[f"{DETERMINISTIC}, CUDA graph"] = lambda: graphed(lambda: network(*inputs))
+        layers = next(iter(placements(network).values()))
+        engine = MCDropout(
+            network, passes, None, strategy="shared", select=layers, masks=FixedMasks(0).cuda()
+        )
+        tries["shared, fixed masks, CUDA graph"] = lambda: graphed(engine.sampler(*inputs))
+    found = []
+    for name, make in tries.items():
+        try:
+            call = make()
+            call()
+        except Exception as error:  # a compiler may fail in any way; the benchmark goes on
+            log.warning("%s left out: %s", name, str(error).splitlines()[0])
+        else:
+            found.append(_Contestant("off" if DETERMINISTIC in name else "all", name, call))
+    return found
+
+
+def _compile(network: nn.Module, inputs: Sequence[Tensor]) -> Callable[[], object]:
+    compiled = torch.compile(network)
+
+    def call() -> object:
+        with torch.inference_mode():
+            return compiled(*inputs)
+
+    return call
+
+
+def _operations(call: Callable[[], object]) -> int:
+    call()  # a first call tries the strategy, which must not be counted
+    with FlopCounterMode(display=False) as counter:
+        call()
+    return int(counter.get_total_flops())
+
+
+def _time(call: Callable[[], object], device: torch.device) -> float:
+    if device.type == "cuda":
+        torch.cuda.synchronize(device)
+    start = time.perf_counter()
+    call()
+    if device.type == "cuda":
+        torch.cuda.synchronize(device)
+    return time.perf_counter() - start
+
+
+def as_mapping(row: LatencyRow) -> Mapping[str, object]:
+    """Column → value."""
+    return dict(vars(row))

@@ -1,0 +1,153 @@
+"""What dropout is worth by where it stands: interval score and coverage against time."""
+
+from __future__ import annotations
+
+import statistics
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import lightning
+import torch
+
+from uncal.assembly import build_data, build_module
+from uncal.benchmarking.placement import placements
+from uncal.checkpoint import load_weights, read_recipe
+from uncal.geometry import DOF_SCALE
+from uncal.metrics.functional import interval_score, mpiw, picp
+from uncal.models.inference import predict_split
+from uncal.uncertainty.mc_dropout import MCDropout
+from uncal.uncertainty.quantile import miscoverage
+
+
+@dataclass(frozen=True)
+class TradeRow:
+    """One placement of dropout at one level.
+
+    Attributes:
+        dropout: where it is on.
+        level: coverage asked for, percent.
+        milliseconds: median for one frame.
+        ratio: median of that time / one deterministic pass beside it.
+        is_translation: interval score, mean over X, Y, Z, cm.
+        is_rotation: interval score, mean over roll, pitch, yaw, degrees.
+        mpiw_translation: interval width, cm.
+        mpiw_rotation: interval width, degrees.
+        picp: coverage found, mean over the DoF, percent.
+        picp_low: lowest of the six.
+        picp_high: highest of the six.
+        mae_translation: mean absolute error of the mean of the passes, cm.
+        mae_rotation: the same, degrees.
+    """
+
+    dropout: str
+    level: float
+    milliseconds: float
+    ratio: float
+    is_translation: float
+    is_rotation: float
+    mpiw_translation: float
+    mpiw_rotation: float
+    picp: float
+    picp_low: float
+    picp_high: float
+    mae_translation: float
+    mae_rotation: float
+
+
+def measure_trade(
+    ckpt: Path, data_root: str | None, rounds: int, device: torch.device
+) -> tuple[list[TradeRow], str]:
+    """Calibrate and test the same weights with dropout in fewer and fewer layers.
+
+    Args:
+        ckpt: a checkpoint of ``uncal.train``, trained with dropout in all of them.
+        data_root: where the recordings are now, or None.
+        rounds: of the timing.
+        device: where to run.
+
+    Returns:
+        Rows by placement and level, and what the data are.
+
+    Raises:
+        UncalError: the checkpoint or its recordings cannot be used.
+    """
+    run = read_recipe(ckpt)
+    if data_root is not None:
+        run.dataset.root = run.dataset.recording.root = data_root
+    lightning.seed_everything(run.seed, workers=True, verbose=False)
+    data, module = build_data(run), build_module(run)
+    load_weights(module, ckpt, calibrated=True)
+    module.to(device).eval()
+    trainer = lightning.Trainer(
+        accelerator="gpu" if device.type == "cuda" else "cpu",
+        devices=1,
+        logger=False,
+        enable_progress_bar=False,
+    )
+    scale = torch.tensor(DOF_SCALE)
+    batch = next(iter(data.loader_of("test", most=1)))
+    one = data.on_after_batch_transfer(batch.to(device), 0)
+    assert one is not None
+    rows = []
+    for where, layers in placements(module.estimator).items():
+        module.engine = MCDropout(
+            module.estimator, run.mcd.passes, run.mcd.chunk, select=layers, masks=module.masks
+        )
+        milliseconds, ratio = _time(module.engine, module.estimator, one[:4], rounds)
+        split = "uncertainty_calibration"
+        module.fit_calibrator(predict_split(trainer, module, data, split), data.splits[split])
+        test = predict_split(trainer, module, data, "test")
+        error = ((test.mean - test.target).abs().mean(0) * scale).tolist()
+        groups = test.groups(data.splits["test"], module.groups)
+        for level in map(float, run.interval.levels):
+            made = module.calibrator.predict(
+                test.mean, test.std, level, groups=groups, bounds=test.bounds
+            )
+            alpha = float(miscoverage(level))
+            score = interval_score(made.lower, made.upper, test.target, alpha) * scale
+            width = mpiw(made.lower, made.upper) * scale
+            covered = 100.0 * picp(made.lower, made.upper, test.target)
+            rows.append(
+                TradeRow(
+                    dropout=where,
+                    level=100 * level,
+                    milliseconds=milliseconds,
+                    ratio=ratio,
+                    is_translation=score[:3].mean().item(),
+                    is_rotation=score[3:].mean().item(),
+                    mpiw_translation=width[:3].mean().item(),
+                    mpiw_rotation=width[3:].mean().item(),
+                    picp=covered.mean().item(),
+                    picp_low=covered.min().item(),
+                    picp_high=covered.max().item(),
+                    mae_translation=sum(error[:3]) / 3,
+                    mae_rotation=sum(error[3:]) / 3,
+                )
+            )
+    return rows, str(run.dataset.label)
+
+
+def _time(
+    engine: MCDropout, network: torch.nn.Module, inputs: tuple[object, ...], rounds: int
+) -> tuple[float, float]:
+    """Milliseconds of the passes for one frame, and their ratio to one deterministic pass."""
+    many, ratios = [], []
+    for number in range(3 * rounds + 1):
+        start = time.perf_counter()
+        with torch.inference_mode():
+            network(*inputs)
+        _wait()
+        middle = time.perf_counter()
+        engine(*inputs, seed=0)
+        _wait()
+        end = time.perf_counter()
+        if number > 0:  # the first round warms up
+            many.append(1e3 * (end - middle))
+            ratios.append((end - middle) / (middle - start))
+    return statistics.median(many), statistics.median(ratios)
+
+
+def _wait() -> None:
+    if torch.cuda.is_available():
+        torch.cuda.synchronize()
