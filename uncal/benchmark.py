@@ -37,7 +37,8 @@ def main(config: DictConfig) -> None:
     folder = Path(HydraConfig.get().runtime.output_dir)
     device = pick_device(config.device)
     compiled = device.type == "cuda" if config.compile == "auto" else bool(config.compile)
-    rows = []
+    where = f"{device_name(device)}, {torch.get_num_threads()} threads, torch {torch.__version__}"
+    rows, text = [], ""
     for case in filter(None, (config.cases or {}).values()):
         model = compose("train", overrides=[*case.model, "mcd.chunk=auto"])
         estimator = build_module(model).estimator.to(device)
@@ -51,9 +52,9 @@ def main(config: DictConfig) -> None:
                 config.rounds,
                 compiled,
             )
-    where = f"{device_name(device)}, {torch.get_num_threads()} threads, torch {torch.__version__}"
+            # After every block, so that an interrupted run leaves what it has measured.
+            text = write_latency(folder, rows, config.passes, config.rounds, where)
     if rows:
-        text = write_latency(folder, rows, config.passes, config.rounds, where)
         sys.stdout.write(f"\n{text}\n{folder}/latency.csv\n")
     if config.ckpt is not None:
         trade, label = measure_trade(Path(config.ckpt), config.data_root, config.rounds, device)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import statistics
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -73,7 +73,7 @@ def measure_latency(
         network: (B, ...) inputs → (B, D).
         inputs: its arguments.
         passes: N.
-        rounds: how often each contestant runs after a warm-up.
+        rounds: how often each contestant runs, after the calls in which its operations are counted.
         compiled: add torch.compile (and, on a GPU, CUDA graphs).
 
     Returns:
@@ -83,13 +83,10 @@ def measure_latency(
     contestants = _contestants(network, inputs, passes, compiled)
     counts = [_operations(each.call) for each in contestants]
     times: list[list[float]] = [[] for _ in contestants]
-    bar = tqdm(total=(rounds + 1) * len(contestants), desc=case, leave=False)
-    with bar:
-        for number in range(rounds + 1):
+    with tqdm(total=rounds * len(contestants), desc=case, leave=False, mininterval=1.0) as bar:
+        for _ in range(rounds):
             for each, measured in zip(contestants, times, strict=True):
-                seconds = _time(each.call, inputs[0].device)
-                if number > 0:  # the first round warms up
-                    measured.append(1e3 * seconds)
+                measured.append(1e3 * _time(each.call, inputs[0].device))
                 bar.update()
     rows = []
     for each, measured, count in zip(contestants, times, counts, strict=True):
@@ -183,8 +180,3 @@ def _time(call: Callable[[], object], device: torch.device) -> float:
     if device.type == "cuda":
         torch.cuda.synchronize(device)
     return time.perf_counter() - start
-
-
-def as_mapping(row: LatencyRow) -> Mapping[str, object]:
-    """Column → value."""
-    return dict(vars(row))
