@@ -9,6 +9,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import ParamSpec, TypeVar
 
+from hydra.core.hydra_config import HydraConfig
+from hydra.errors import CompactHydraException, InstantiationException
+from hydra.types import RunMode
+
 from uncal.errors import ConfigurationError, UncalError
 
 P = ParamSpec("P")
@@ -44,7 +48,8 @@ def exits_on_error(main: Callable[P, R]) -> Callable[P, R]:
     """Make an entry point end with the message alone and exit code 1 on an :class:`UncalError`.
 
     Ctrl-C ends it without a traceback too. Stands below ``@hydra.main``, which would otherwise
-    print one.
+    print one. In a multirun the error ends its own job only: the other jobs run, then Hydra prints
+    the message and ends with exit code 1. Ctrl-C ends the whole multirun.
 
     >>> @exits_on_error
     ... def main() -> None:
@@ -59,11 +64,26 @@ def exits_on_error(main: Callable[P, R]) -> Callable[P, R]:
         try:
             return main(*args, **kwargs)
         except UncalError as error:
-            raise SystemExit(str(error)) from error
+            raise _ending(error) from error
+        except InstantiationException as error:
+            # Hydra wraps what a constructor raises, and shows its line breaks as \\n.
+            if isinstance(error.__cause__, UncalError):
+                raise _ending(error.__cause__) from error
+            raise
         except KeyboardInterrupt:
             raise SystemExit(INTERRUPTED) from None
 
     return wrapped
+
+
+def _ending(error: UncalError) -> BaseException:
+    interrupted = isinstance(error.__cause__, SystemExit | KeyboardInterrupt)
+    multirun = HydraConfig.initialized() and HydraConfig.get().mode == RunMode.MULTIRUN
+    if multirun and not interrupted:
+        # Hydra's launcher notes an Exception as its job's failure, but SystemExit passes through;
+        # of this class it prints the message without a traceback.
+        return CompactHydraException(str(error))
+    return SystemExit(str(error))
 
 
 def quiet_libraries() -> None:

@@ -1,1 +1,1 @@
-"""Lightning callbacks."""
+"""Callbacks of Lightning, and one of Hydra."""

@@ -1,0 +1,140 @@
+"""Multiruns of a task that does next to nothing, by Hydra's own sweeper and launcher."""
+
+from __future__ import annotations
+
+import csv
+import sys
+from pathlib import Path
+
+import hydra
+import pytest
+from hydra import compose, initialize_config_dir
+from hydra.core.hydra_config import HydraConfig
+from hydra.core.utils import JobReturn, JobStatus
+from hydra.utils import instantiate
+from omegaconf import DictConfig
+
+from uncal.callbacks.multirun_summary import MultirunSummary, failure
+from uncal.configuration import CONFIG_DIR, exits_on_error
+from uncal.errors import ConfigurationError, UncalError
+from uncal.geometry import DOF_NAMES
+from uncal.reporting.layout import csv_text
+from uncal.reporting.tables import COLUMNS
+
+
+@hydra.main(version_base="1.3", config_path=CONFIG_DIR, config_name="train")
+@exits_on_error
+def task(config: DictConfig) -> float:
+    passes = config.mcd.passes
+    if passes == 1:
+        raise ConfigurationError("one pass gives no spread; set at least 2")
+    if passes == 2:
+        raise ZeroDivisionError("an error of the program")
+    if passes == 3:  # as uncal.train passes Ctrl-C on
+        raise UncalError("interrupted; go on with ckpt=…") from SystemExit(1)
+    rows = [[name, "cm", 90.0, *[float(passes)] * 5, True, *[1.0] * 3, 1, 1] for name in DOF_NAMES]
+    folder = Path(HydraConfig.get().runtime.output_dir)
+    (folder / "results.csv").write_text(csv_text(COLUMNS, rows), encoding="utf-8")
+    (folder / "results.md").write_text("# Results on made-up data\n", encoding="utf-8")
+    return float(passes)
+
+
+def start(folder: Path, monkeypatch: pytest.MonkeyPatch, *arguments: str) -> None:
+    monkeypatch.chdir(folder)
+    quiet = ["hydra/hydra_logging=disabled", "hydra/job_logging=disabled"]
+    where = ["hydra.sweep.dir=many", "hydra.run.dir=one"]
+    command = ["task", *arguments, *quiet, *where]
+    monkeypatch.setattr(sys, "argv", command)
+    monkeypatch.setattr(sys, "orig_argv", ["/usr/bin/python3", "-m", *command])
+    task()
+
+
+def jobs_with_results(folder: Path) -> list[str]:
+    with (folder / "many" / "summary.csv").open(encoding="utf-8") as file:
+        return list(dict.fromkeys(row["mcd.passes"] for row in csv.DictReader(file)))
+
+
+def markdown(folder: Path) -> str:
+    return (folder / "many" / "summary.md").read_text(encoding="utf-8")
+
+
+def test_a_multirun_is_summarised(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    start(tmp_path, monkeypatch, "-m", "mcd.passes=5,7")
+    assert jobs_with_results(tmp_path) == ["5", "7"]
+    text = markdown(tmp_path)
+    assert text.startswith("# Multirun on made-up data")
+    assert "    python -m task -m mcd.passes=5,7 " in text
+    assert "Jobs: 2, with results: 2" in text
+    assert "without results" not in text
+
+
+def test_the_others_run_on_after_a_failed_job(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        start(tmp_path, monkeypatch, "-m", "mcd.passes=1,2,7")
+    assert ended.value.code == 1
+    assert jobs_with_results(tmp_path) == ["7"]
+    text = markdown(tmp_path)
+    assert "Jobs: 3, with results: 1" in text
+    assert "- `0` (mcd.passes=1): one pass gives no spread; set at least 2" in text
+    assert "- `1` (mcd.passes=2): ZeroDivisionError: an error of the program" in text
+    shown = capsys.readouterr().err
+    assert "one pass gives no spread" in shown
+    assert "Traceback" not in shown
+
+
+def test_a_second_attempt_in_the_same_folder_forgets_the_failure(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(SystemExit):
+        start(tmp_path, monkeypatch, "-m", "mcd.passes=1")
+    assert "Jobs: 1, with results: 0" in markdown(tmp_path)
+    start(tmp_path, monkeypatch, "-m", "mcd.passes=5")
+    assert "Jobs: 1, with results: 1" in markdown(tmp_path)
+    assert "without results" not in markdown(tmp_path)
+
+
+def test_ctrl_c_ends_the_multirun_and_keeps_what_there_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(SystemExit, match="interrupted; go on"):
+        start(tmp_path, monkeypatch, "-m", "mcd.passes=5,3,7")
+    assert jobs_with_results(tmp_path) == ["5"]
+    text = markdown(tmp_path)
+    assert "- `1` (mcd.passes=3): no results.csv: still running, interrupted" in text
+    assert not (tmp_path / "many" / "2").exists()
+
+
+def test_a_single_run_has_no_summary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    start(tmp_path, monkeypatch, "mcd.passes=5")
+    assert (tmp_path / "one" / "results.csv").is_file()
+    assert not list(tmp_path.rglob("summary.*"))
+    with pytest.raises(SystemExit, match="one pass gives no spread"):
+        start(tmp_path, monkeypatch, "mcd.passes=1")
+    assert not list(tmp_path.rglob("failed.txt"))
+
+
+@pytest.mark.parametrize("entry_point", ["train", "evaluate"])
+def test_the_configuration_names_it(entry_point: str) -> None:
+    with initialize_config_dir(CONFIG_DIR, version_base="1.3"):
+        config = compose(entry_point, return_hydra_config=True)
+    callbacks = [instantiate(each) for each in config.hydra.callbacks.values()]
+    assert [type(each) for each in callbacks] == [MultirunSummary]
+
+
+def test_a_failure_lets_go_of_what_its_frames_held() -> None:
+    def fail() -> None:
+        held = bytearray(8)
+        raise ValueError(f"{len(held)} bytes")
+
+    failed = JobReturn(overrides=[], status=JobStatus.FAILED)
+    try:
+        fail()
+    except ValueError as error:
+        failed.return_value = error
+    assert failure(failed) == "ValueError: 8 bytes"
+    with pytest.raises(ValueError, match="8 bytes") as raised:
+        _ = failed.return_value
+    frames = [entry.frame.f_locals for entry in raised.traceback if entry.name == "fail"]
+    assert frames == [{}]
