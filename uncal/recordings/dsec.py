@@ -1,0 +1,230 @@
+"""DSEC (Gehrig et al., "DSEC: A Stereo Event Camera Dataset for Driving Scenarios", RA-L 2021).
+
+A frame is a LiDAR scan and the events that lead up to it. See :mod:`uncal.recordings.dsec_layout`
+for the files and :mod:`uncal.recordings.dsec_sequences` for the official splits.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uncal.errors import ConfigurationError, RecordingError
+from uncal.recordings.calibration_files import CameraCalibration
+from uncal.recordings.dsec_calibration import SIDES, event_camera_calibration
+from uncal.recordings.dsec_events import inspect_events, read_rectify_map
+from uncal.recordings.dsec_layout import SequenceFolder, find_sequences, remedy
+from uncal.recordings.dsec_pairing import SCAN_TIMES, EventWindow, PairedSequence, pair
+from uncal.recordings.dsec_sequences import drive_of
+from uncal.recordings.folder_listing import choose
+from uncal.recordings.frame import Frame, FrameId
+from uncal.recordings.lidar_bag import LidarBag
+
+log = logging.getLogger(__name__)
+
+
+class Dsec:
+    """A folder of DSEC sequences; implements :class:`~uncal.recordings.frame.Recording`.
+
+    A sequence is a drive in the sense of :class:`~uncal.recordings.frame.FrameId`, and a frame's
+    number is that of its scan among those of the sequence. Sequences with one and the same
+    calibration are a rig, named after the first drive under ``root`` that has it, whichever
+    sequences are chosen.
+
+    What cannot be used is left out, logged and listed in :attr:`skipped`: sequences without LiDAR
+    or with damaged files, damaged scans, windows with too few events. A scan whose window would
+    begin before the sequence's first event is no frame either, and no defect.
+
+    Args:
+        root: folder of the sequences and of ``data``.
+        window_ms: length of the event window before each scan, milliseconds.
+        min_events: a frame with fewer events is left out; a standing car sees next to nothing.
+        sequences: names or shell patterns (``zurich_city_0*``); all if None.
+        side: event camera, a key of :data:`~uncal.recordings.dsec_calibration.SIDES`.
+        stride: keep every ``stride``-th scan of each sequence.
+        scan_time: when the window ends, one of :data:`SCAN_TIMES`. DSEC does not say which moment
+            of the sweep its stamps are. The field ``time`` of the points counts from the stamp, so
+            ``end`` is right wherever that field is there, and is the stamp where it is not.
+
+    Raises:
+        RecordingError: the root is missing or empty, or no sequence can be used.
+        ConfigurationError: a setting is out of range, or a name matches no sequence.
+
+    Attributes:
+        frame_ids: sequence by sequence, in order of time.
+        skipped: frame, sequence or bag → reason.
+        scan_rates: drive (``zurich_city_04``) → scans per second (median), as measured.
+        scan_gaps: drive → number of pauses longer than 1.5 median intervals.
+    """
+
+    def __init__(
+        self,
+        root: str | Path,
+        window_ms: float,
+        min_events: int,
+        sequences: Sequence[str] | None = None,
+        side: str = "left",
+        stride: int = 1,
+        scan_time: str = "end",
+    ) -> None:
+        """Find the sequences, read their calibration and index their scans; no event is read."""
+        _check(window_ms, min_events, side, stride, scan_time)
+        root = Path(root).expanduser()
+        self.frame_ids: list[FrameId] = []
+        self.skipped: dict[str, str] = {}
+        self.scan_rates: dict[str, float] = {}
+        self.scan_gaps: dict[str, int] = {}
+        self._window = EventWindow(round(1000 * window_ms), min_events)
+        self._stride = stride
+        self._sequences: dict[tuple[str, str], PairedSequence] = {}
+        self._bags: dict[str, LidarBag | RecordingError] = {}
+        self._maps: dict[bytes, NDArray[np.float32]] = {}
+
+        folders = find_sequences(root)
+        chosen = choose({name: [name] for name in folders}, sequences, "sequences")
+        calibrations = _calibrate(folders.values(), side)
+        rigs = _name_rigs(calibrations)
+        for name in chosen:
+            try:
+                self._add(folders[name], calibrations[name], rigs.get(name, ""), side, scan_time)
+            except RecordingError as error:
+                self.skipped[name] = str(error)
+                log.warning("left out sequence %s: %s", name, error)
+        if not self.frame_ids:
+            raise RecordingError(self._nothing_found(root, len(chosen)))
+
+    def load(self, frame_id: FrameId) -> Frame:
+        """Read one frame.
+
+        Args:
+            frame_id: one of :attr:`frame_ids`.
+
+        Returns:
+            The frame; non-finite points are dropped and counted. ``time`` is UNIX time.
+
+        Raises:
+            FrameError: the scan or the events cannot be read, or there are too few events.
+            RecordingError: the recording has no such frame.
+        """
+        sequence = self._sequences.get((frame_id.rig, frame_id.drive))
+        if sequence is None or not 0 <= frame_id.index < len(sequence):
+            raise RecordingError(
+                f"Frame {frame_id} is none of this recording; its sequences are "
+                f"{', '.join('/'.join(known) for known in self._sequences)}."
+            )
+        return sequence.load(frame_id, self._window)
+
+    def _add(
+        self,
+        folder: SequenceFolder,
+        calibration: CameraCalibration | RecordingError,
+        rig: str,
+        side: str,
+        scan_time: str,
+    ) -> None:
+        bag = self._bag(folder)
+        if isinstance(calibration, RecordingError):
+            raise calibration
+        rectify_map = read_rectify_map(folder.rectify_map(side))
+        # The sequences of one rig share theirs: 2.5 MB, in every worker.
+        digest = hashlib.sha256(rectify_map.tobytes()).digest()
+        rectify_map = self._maps.setdefault(digest, rectify_map)
+        events = inspect_events(folder.events(side), rectify_map)
+        sequence = pair(events, bag, calibration, scan_time)
+        frames, poor = sequence.sort_out(self._window, self._stride)
+        self._sequences[rig, folder.name] = sequence
+        self.frame_ids += [FrameId(rig, folder.name, index) for index in frames]
+        self.skipped |= {
+            str(FrameId(rig, folder.name, index)): reason for index, reason in poor.items()
+        }
+        log.info(
+            "sequence %s: %d frames, %d with too few events", folder.name, len(frames), len(poor)
+        )
+
+    def _bag(self, folder: SequenceFolder) -> LidarBag:
+        """The bag of a sequence's drive, opened once; what is wrong with it is raised each time."""
+        drive = drive_of(folder.name)
+        if drive not in self._bags:
+            try:
+                self._bags[drive] = self._open_bag(drive, folder.bag)
+            except RecordingError as error:
+                self._bags[drive] = error
+        bag = self._bags[drive]
+        if isinstance(bag, RecordingError):
+            raise bag
+        return bag
+
+    def _open_bag(self, drive: str, path: Path) -> LidarBag:
+        bag = LidarBag(path)
+        index = bag.index
+        self.scan_rates[drive], self.scan_gaps[drive] = index.rate, index.n_gaps
+        log.info("drive %s: %d scans at %.2f Hz", drive, len(index), index.rate)
+        if index.n_gaps:
+            log.warning("drive %s: scans are missing in %d gaps", drive, index.n_gaps)
+        if index.n_duplicates:
+            log.warning("drive %s: %d scans left out, repeated", drive, index.n_duplicates)
+        if index.n_damaged:
+            reason = f"{index.n_damaged} scans cannot be read, the last one: {index.damage}"
+            self.skipped[f"{drive}/{path.name}"] = reason
+            log.warning("drive %s: %s", drive, reason)
+        return bag
+
+    def _nothing_found(self, root: Path, n_chosen: int) -> str:
+        some = [f"{name}: {reason}" for name, reason in islice(self.skipped.items(), 5)]
+        more = [f"and {len(self.skipped) - 5} more"] if len(self.skipped) > 5 else []
+        intro = f"No usable frame in {n_chosen} sequence(s) of {root}:"
+        return "\n  ".join([intro, *some, *more]) + f"\n{remedy(root)}"
+
+
+def _check(window_ms: float, min_events: int, side: str, stride: int, scan_time: str) -> None:
+    if not (math.isfinite(window_ms) and window_ms >= 0.001):
+        raise ConfigurationError(f"window_ms is {window_ms}, expected milliseconds, say 50.")
+    if min_events < 0:
+        raise ConfigurationError(f"min_events is {min_events}, expected at least 0.")
+    if side not in SIDES:
+        raise ConfigurationError(f"side is '{side}', expected one of {', '.join(SIDES)}.")
+    if stride < 1:
+        raise ConfigurationError(f"stride is {stride}, expected at least 1 (every scan).")
+    if scan_time not in SCAN_TIMES:
+        raise ConfigurationError(
+            f"scan_time is '{scan_time}', expected one of {', '.join(SCAN_TIMES)}."
+        )
+
+
+def _calibrate(
+    folders: Iterable[SequenceFolder], side: str
+) -> dict[str, CameraCalibration | RecordingError]:
+    calibrations: dict[str, CameraCalibration | RecordingError] = {}
+    for folder in folders:
+        try:
+            calibrations[folder.name] = event_camera_calibration(
+                folder.cam_to_cam, folder.cam_to_lidar, side
+            )
+        except RecordingError as error:
+            calibrations[folder.name] = error
+    return calibrations
+
+
+def _name_rigs(
+    calibrations: Mapping[str, CameraCalibration | RecordingError],
+) -> dict[str, str]:
+    """Sequence → rig."""
+    names: dict[bytes, str] = {}
+    rigs: dict[str, str] = {}
+    for sequence, calibration in calibrations.items():
+        if isinstance(calibration, RecordingError):
+            continue
+        numbers = calibration.K.tobytes() + calibration.T_cam_lidar.tobytes()
+        if numbers not in names:
+            drive = drive_of(sequence)
+            # A drive of two calibrations: its second rig must not share the first one's name.
+            names[numbers] = sequence if drive in names.values() else drive
+        rigs[sequence] = names[numbers]
+    return rigs

@@ -1,0 +1,154 @@
+"""Pairing the scans of a DSEC drive with the events of one of its sequences."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uncal.errors import FrameError, RecordingError
+from uncal.recordings.calibration_files import CameraCalibration
+from uncal.recordings.dsec_clock import clock_time, on_event_clock
+from uncal.recordings.dsec_events import EventFile
+from uncal.recordings.frame import Frame, FrameId
+from uncal.recordings.lidar_bag import LidarBag
+
+SCAN_TIMES: tuple[str, ...] = ("end", "stamp")
+"""What may count as the time of a scan: its last point, or the stamp of its message."""
+
+
+@dataclass(frozen=True)
+class EventWindow:
+    """The events that belong to a scan: those of a fixed time before it.
+
+    Attributes:
+        length_us: microseconds; the window ends at the scan's time, exclusive.
+        min_events: a window with fewer is refused.
+    """
+
+    length_us: int
+    min_events: int
+
+    def too_few(self, found: str) -> str:
+        """The reason for which a window is refused."""
+        return (
+            f"too few events: {found} in the {self.length_us / 1000:g} ms before the scan, "
+            f"min_events is {self.min_events}"
+        )
+
+
+@dataclass(frozen=True)
+class PairedSequence:
+    """The scans taken between the first and the last event of one sequence, in order.
+
+    Attributes:
+        calibration: of the rectified event camera.
+        events: its events.
+        bag: the scans of the drive, of which the sequence is a part.
+        positions: (n,) of the sequence's scans in the bag's index.
+        times_ns: (n,) their UNIX times, nanoseconds.
+        times_us: (n,) the same on the events' clock, microseconds without ``t_offset``.
+    """
+
+    calibration: CameraCalibration
+    events: EventFile
+    bag: LidarBag
+    positions: NDArray[np.intp]
+    times_ns: NDArray[np.int64]
+    times_us: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        """Number of scans."""
+        return len(self.positions)
+
+    def sort_out(self, window: EventWindow, stride: int) -> tuple[list[int], dict[int, str]]:
+        """Which scans are frames, as far as ``ms_to_idx`` tells.
+
+        Args:
+            window: what a frame needs.
+            stride: keep every ``stride``-th scan, counted before any is left out.
+
+        Returns:
+            The numbers of the scans that are frames, and those with too few events → reason. Scans
+            whose window would begin before the first event are in neither.
+
+        Raises:
+            RecordingError: no scan has a whole window, or the events cannot be read.
+        """
+        starts_us = self.times_us - window.length_us
+        whole = [i for i in range(0, len(self), stride) if starts_us[i] >= self.events.first_us]
+        if not whole:
+            raise RecordingError(
+                f"none of its {len(self)} scans (stride {stride}) has the whole window of "
+                f"{window.length_us / 1000:g} ms after the first event; use a shorter window_ms"
+            )
+        counts = self.events.count_at_most(starts_us, self.times_us)
+        poor = {
+            i: window.too_few(f"at most {counts[i]}")
+            for i in whole
+            if counts[i] < window.min_events
+        }
+        return [i for i in whole if i not in poor], poor
+
+    def load(self, frame_id: FrameId, window: EventWindow) -> Frame:
+        """Read one frame.
+
+        Args:
+            frame_id: its ``index`` counts the scans of this sequence.
+            window: which events belong to it.
+
+        Returns:
+            The frame.
+
+        Raises:
+            FrameError: the scan or the events cannot be read, or there are too few events.
+        """
+        end_us = int(self.times_us[frame_id.index])
+        events = self.events.read(end_us - window.length_us, end_us)
+        if len(events) < window.min_events:
+            raise FrameError(f"{self.events.path}: {window.too_few(str(len(events)))}.")
+        points, n_dropped = self.bag.read(int(self.positions[frame_id.index]))
+        return Frame(
+            id=frame_id,
+            image=None,
+            points=points,
+            K=self.calibration.K.copy(),
+            T_cam_lidar=self.calibration.T_cam_lidar.copy(),
+            time=float(self.times_ns[frame_id.index]) / 1e9,
+            n_dropped=n_dropped,
+            events=events,
+        )
+
+
+def pair(
+    events: EventFile, bag: LidarBag, calibration: CameraCalibration, scan_time: str
+) -> PairedSequence:
+    """Find the scans of a drive that were taken during a sequence.
+
+    Args:
+        events: of the sequence.
+        bag: of the drive.
+        calibration: of the event camera.
+        scan_time: one of :data:`SCAN_TIMES`.
+
+    Returns:
+        The sequence with its scans.
+
+    Raises:
+        RecordingError: there is no such scan.
+    """
+    index = bag.index
+    times_ns = index.end_ns if scan_time == "end" else index.stamp_ns
+    times_us = on_event_clock(times_ns, events.t_offset, events.first_us)
+    (positions,) = np.nonzero(times_us <= events.end_us)
+    if not len(positions):
+        first, last = (events.t_offset + time for time in (events.first_us, events.end_us))
+        raise RecordingError(
+            f"no scan of {bag.path} is from the time of its events, {clock_time(first)} to "
+            f"{clock_time(last)} UTC; the scans are from {clock_time(int(times_ns[0]) // 1000)} "
+            f"to {clock_time(int(times_ns[-1]) // 1000)}"
+        )
+    return PairedSequence(
+        calibration, events, bag, positions, times_ns[positions], times_us[positions]
+    )

@@ -1,0 +1,201 @@
+"""The LiDAR scans of a ROS 1 bag, read one by one through ``rosbags``, which needs no ROS."""
+
+from __future__ import annotations
+
+import os
+import struct
+from collections.abc import Iterator
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
+from typing import Protocol, cast
+
+import numpy as np
+from numpy.typing import NDArray
+from rosbags.interfaces import Connection
+from rosbags.rosbag1 import Reader, ReaderError
+from rosbags.serde import SerdeError
+from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys.store import Typestore
+
+from uncal.errors import FrameError, RecordingError
+from uncal.recordings.lidar_index import LidarIndex, cached_index
+from uncal.recordings.point_cloud2 import PointCloud2, read_points, sweep_end
+
+TOPIC = "/velodyne_points"
+"""DSEC's topic of decoded scans."""
+
+_MESSAGE_TYPE = "sensor_msgs/msg/PointCloud2"
+
+# What rosbags lets through when the bytes are not what they should be, its asserts among them.
+_DAMAGE = (
+    *(ReaderError, SerdeError, AssertionError, EOFError, LookupError),
+    *(OSError, RuntimeError, ValueError, struct.error),
+)
+
+
+class _Time(Protocol):
+    sec: int
+    nanosec: int
+
+
+class _Header(Protocol):
+    stamp: _Time
+
+
+class _Scan(PointCloud2, Protocol):
+    header: _Header
+
+
+class LidarBag:
+    """Random access to the scans of one bag.
+
+    The bag is read once for its index. Afterwards a scan costs one chunk: rosbags finds it by its
+    record time. The open file belongs to the process that opened it; pickling leaves it behind
+    and a forked worker opens its own, since the two would share one file position.
+
+    Args:
+        path: the ``.bag`` file.
+
+    Raises:
+        RecordingError: the bag is missing, truncated or without a readable scan.
+
+    Attributes:
+        path: the file.
+        index: its scans; positions below count in it.
+    """
+
+    def __init__(self, path: Path) -> None:
+        if not path.is_file():
+            raise RecordingError(f"no LiDAR recording at {path}")
+        self.path = path
+        self.index: LidarIndex = cached_index(path, index_scans)
+        self._opened: tuple[int, Reader] | None = None
+
+    def read(self, position: int) -> tuple[NDArray[np.float32], int]:
+        """One scan.
+
+        Args:
+            position: in :attr:`index`.
+
+        Returns:
+            (N, 4) float32 x, y, z (metres, LiDAR frame) and reflectance in 0..1, N ≥ 1, and how
+            many points were dropped because they were not finite.
+
+        Raises:
+            FrameError: the scan cannot be read or holds no finite point.
+        """
+        message_ns = int(self.index.message_ns[position])
+        stamp_ns = int(self.index.stamp_ns[position])
+        try:
+            reader = self._reader()
+            for _, scan in _scans(reader, start=message_ns, stop=message_ns + 1):
+                if _stamp_ns(scan) == stamp_ns:
+                    points, n_dropped = read_points(scan)
+                    break
+            else:
+                raise ValueError("the bag has changed since it was indexed")
+        except _DAMAGE as error:
+            raise FrameError(
+                f"{self.path}: the scan stamped {stamp_ns / 1e9:.6f} cannot be read ({error})."
+            ) from error
+        if not len(points):
+            raise FrameError(
+                f"{self.path}: none of the {n_dropped} points of the scan stamped "
+                f"{stamp_ns / 1e9:.6f} is finite."
+            )
+        return points, n_dropped
+
+    def _reader(self) -> Reader:
+        if self._opened is None or self._opened[0] != os.getpid():
+            reader = Reader(self.path)
+            reader.open()
+            self._opened = (os.getpid(), reader)
+        return self._opened[1]
+
+    def __getstate__(self) -> dict[str, object]:
+        """Everything but the open file."""
+        return {**self.__dict__, "_opened": None}
+
+
+def index_scans(path: Path) -> LidarIndex:
+    """Read a bag from end to end and note its scans.
+
+    Damage in the middle ends the reading; the scans before it are kept, the others counted.
+
+    Args:
+        path: the ``.bag`` file.
+
+    Returns:
+        The index.
+
+    Raises:
+        RecordingError: the bag is truncated, has no scans, or none that can be read.
+    """
+    reader = Reader(path)
+    try:
+        reader.open()
+    except _DAMAGE as error:
+        raise RecordingError(
+            f"{path} is no complete ROS 1 bag ({error}); its index is at its end, so a part of it "
+            "is of no use. Copy it again."
+        ) from error
+    rows: list[tuple[int, int, int, int]] = []
+    reason = ""
+    try:
+        n_scans = sum(connection.msgcount for connection in _connections(reader))
+        if n_scans == 0:
+            topics = ", ".join(sorted({connection.topic for connection in reader.connections}))
+            raise RecordingError(
+                f"{path} has no {_MESSAGE_TYPE} on the topic {TOPIC}; its topics are "
+                f"{topics or 'none'}."
+            )
+        try:
+            for message_ns, scan in _scans(reader):
+                try:
+                    rows.append(_row(message_ns, scan))
+                except ValueError as error:
+                    reason = str(error)
+        except _DAMAGE as error:
+            reason = f"damaged after {len(rows)} scans: {error}"
+    finally:
+        with suppress(ReaderError):
+            reader.close()
+    if not rows:
+        raise RecordingError(f"{path}: none of its {n_scans} scans can be read ({reason}).")
+    return LidarIndex.from_scans(np.array(rows, dtype=np.int64), n_scans - len(rows), reason)
+
+
+def _row(message_ns: int, scan: _Scan) -> tuple[int, int, int, int]:
+    n_points = scan.height * scan.width
+    if n_points == 0:
+        raise ValueError("the point cloud is empty")
+    stamp_ns = _stamp_ns(scan)
+    # The times are float32: nanoseconds would be its rounding errors.
+    return message_ns, stamp_ns, stamp_ns + 1000 * round(sweep_end(scan) * 1e6), n_points
+
+
+def _stamp_ns(scan: _Scan) -> int:
+    return scan.header.stamp.sec * 1_000_000_000 + scan.header.stamp.nanosec
+
+
+def _connections(reader: Reader) -> list[Connection]:
+    return [
+        connection
+        for connection in reader.connections
+        if connection.topic == TOPIC and connection.msgtype == _MESSAGE_TYPE
+    ]
+
+
+def _scans(
+    reader: Reader, start: int | None = None, stop: int | None = None
+) -> Iterator[tuple[int, _Scan]]:
+    """Record times and scans; ``start`` and ``stop`` are record times, nanoseconds."""
+    for _, message_ns, raw in reader.messages(_connections(reader), start, stop):
+        yield message_ns, cast("_Scan", _types().deserialize_ros1(raw, _MESSAGE_TYPE))
+
+
+@cache
+def _types() -> Typestore:
+    # 0.2 s; only processes that read a scan pay it.
+    return get_typestore(Stores.ROS1_NOETIC)

@@ -1,0 +1,143 @@
+"""What is known of a bag's scans without opening it again: when each was taken, its points."""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+log = logging.getLogger(__name__)
+
+CACHE_NAME = ".uncal_index.npz"
+"""The cached index, beside the bag; safe to delete."""
+
+_VERSION = 1
+_GAP = 1.5
+"""A pause of more than this many median intervals is a gap: at least one scan is missing."""
+
+
+@dataclass(frozen=True)
+class LidarIndex:
+    """The readable scans of one bag, in the order of their stamps.
+
+    Attributes:
+        message_ns: (n,) int64 time of the record in the bag, UNIX nanoseconds; finds the message.
+        stamp_ns: (n,) int64 stamp of the header.
+        end_ns: (n,) int64 time of the scan's last point.
+        n_points: (n,) int64 points of the message, non-finite ones among them.
+        n_duplicates: scans left out because another one carries the same stamp.
+        n_damaged: scans left out because they could not be read.
+        damage: why; empty if ``n_damaged`` is 0.
+    """
+
+    message_ns: NDArray[np.int64]
+    stamp_ns: NDArray[np.int64]
+    end_ns: NDArray[np.int64]
+    n_points: NDArray[np.int64]
+    n_duplicates: int
+    n_damaged: int
+    damage: str
+
+    def __len__(self) -> int:
+        """Number of readable scans."""
+        return len(self.stamp_ns)
+
+    @property
+    def rate(self) -> float:
+        """Scans per second while the LiDAR runs: 1 / median interval; NaN below two scans."""
+        if len(self) < 2:
+            return float("nan")
+        return float(1e9 / np.median(np.diff(self.stamp_ns)))
+
+    @property
+    def n_gaps(self) -> int:
+        """Intervals of more than 1.5 times the median."""
+        if len(self) < 2:
+            return 0
+        intervals = np.diff(self.stamp_ns)
+        return int(np.count_nonzero(intervals > _GAP * np.median(intervals)))
+
+    @classmethod
+    def from_scans(
+        cls, scans: NDArray[np.int64], n_damaged: int = 0, damage: str = ""
+    ) -> LidarIndex:
+        """Sort scans by their stamps and leave out repeated ones.
+
+        Args:
+            scans: (n, 4) record time, stamp, end of the sweep (nanoseconds), points.
+            n_damaged: as in the class.
+            damage: as in the class.
+
+        Returns:
+            The index.
+
+        >>> index = LidarIndex.from_scans(np.array([[5, 2, 3, 9], [4, 1, 2, 9], [6, 2, 3, 9]]))
+        >>> index.stamp_ns.tolist(), index.message_ns.tolist(), index.n_duplicates
+        ([1, 2], [4, 5], 1)
+        """
+        _, kept = np.unique(scans[:, 1], return_index=True)
+        message_ns, stamp_ns, end_ns, n_points = np.ascontiguousarray(scans[kept].T)
+        return cls(
+            message_ns, stamp_ns, end_ns, n_points, len(scans) - len(kept), n_damaged, damage
+        )
+
+
+def cached_index(bag: Path, build: Callable[[Path], LidarIndex]) -> LidarIndex:
+    """The index of a bag: the one kept beside it if it is of this very file, else a new one.
+
+    A new one is kept for the next time where the folder can be written to.
+
+    Args:
+        bag: the bag.
+        build: reads the bag; what it raises passes through.
+
+    Returns:
+        The index.
+    """
+    cache = bag.with_name(CACHE_NAME)
+    status = bag.stat()
+    identity = np.array([_VERSION, status.st_size, status.st_mtime_ns], dtype=np.int64)
+    known = _load(cache, identity)
+    if known is not None:
+        return known
+    log.info("indexing %s (%.1f GB), once", bag, status.st_size / 1e9)
+    index = build(bag)
+    _store(cache, identity, index)
+    return index
+
+
+def _load(cache: Path, identity: NDArray[np.int64]) -> LidarIndex | None:
+    try:
+        with np.load(cache, allow_pickle=False) as kept:
+            if not np.array_equal(kept["identity"], identity):
+                return None
+            return LidarIndex(
+                message_ns=kept["message_ns"],
+                stamp_ns=kept["stamp_ns"],
+                end_ns=kept["end_ns"],
+                n_points=kept["n_points"],
+                n_duplicates=int(kept["n_duplicates"]),
+                n_damaged=int(kept["n_damaged"]),
+                damage=str(kept["damage"]),
+            )
+    except FileNotFoundError:
+        return None
+    except Exception as error:  # whatever is wrong with a cache, the bag itself is still there
+        log.warning("ignoring the damaged index %s: %s", cache, error)
+        return None
+
+
+def _store(cache: Path, identity: NDArray[np.int64], index: LidarIndex) -> None:
+    # Renamed when complete: several runs may share the recordings.
+    draft = cache.with_name(f"{cache.stem}.{os.getpid()}.npz")
+    try:
+        np.savez(draft, identity=identity, **vars(index))
+        draft.replace(cache)
+    except OSError as error:
+        log.info("the index of %s stays in memory only: %s", cache.parent, error)
+        draft.unlink(missing_ok=True)

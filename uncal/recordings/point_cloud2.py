@@ -1,0 +1,128 @@
+"""ROS's ``sensor_msgs/PointCloud2``: points laid out as the message says, read without ROS.
+
+A message names its fields with offsets and types, so that drivers differ in order, padding and
+precision; see http://docs.ros.org/en/noetic/api/sensor_msgs/html/msg/PointCloud2.html.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+_FORMATS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
+"""PointField.datatype → numpy type, without its byte order."""
+
+_BRIGHTEST = 255.0
+"""Velodyne's calibrated reflectivity is one byte; its drivers publish it in whatever type."""
+
+_LONGEST_SWEEP_S = 1.0
+"""Velodynes turn at 5 to 20 Hz; a larger ``time`` is an absolute time or not in seconds."""
+
+
+class PointField(Protocol):
+    """Where one quantity of a point is; offsets in bytes from the start of the point."""
+
+    name: str
+    offset: int
+    datatype: int
+
+
+class PointCloud2(Protocol):
+    """The members of the message that are used here.
+
+    ``data`` holds ``height`` rows of ``row_step`` bytes; a row, ``width`` points of ``point_step``.
+    """
+
+    height: int
+    width: int
+    fields: Sequence[PointField]
+    is_bigendian: bool
+    point_step: int
+    row_step: int
+    data: NDArray[np.uint8]
+
+
+def read_points(message: PointCloud2) -> tuple[NDArray[np.float32], int]:
+    """Points of a message; those that are not finite are dropped.
+
+    Args:
+        message: with the fields x, y, z (metres) and intensity (0..255), in any order and type.
+
+    Returns:
+        (N, 4) float32 x, y, z and reflectance in 0..1, and how many points were dropped.
+
+    Raises:
+        ValueError: a field is missing, or the message is shorter than it says.
+    """
+    columns = _columns(message, ("x", "y", "z", "intensity"))
+    points = np.stack([column.astype(np.float32) for column in columns], axis=1)
+    points[:, 3] /= _BRIGHTEST
+    finite = np.isfinite(points).all(axis=1)
+    n_dropped = int(len(points) - np.count_nonzero(finite))
+    return (points[finite] if n_dropped else points), n_dropped
+
+
+def sweep_end(message: PointCloud2) -> float:
+    """When the last point was measured, in seconds after the stamp of the message.
+
+    The field ``time`` counts from the stamp, whatever that is: Velodyne's ROS driver stamps the
+    last packet by default (times up to 0) and the first one on request (times from 0 on). The
+    largest one is the end of the sweep either way.
+
+    Args:
+        message: a sweep.
+
+    Returns:
+        Seconds; 0 where the message has no such field or it does not hold seconds in a sweep.
+
+    Raises:
+        ValueError: the message is shorter than it says.
+    """
+    if not any(field.name == "time" for field in message.fields):
+        return 0.0
+    (times,) = _columns(message, ("time",))
+    times = times[np.isfinite(times)]
+    if times.dtype.kind != "f" or times.size == 0:
+        return 0.0
+    last = float(times.max())
+    return last if abs(last) < _LONGEST_SWEEP_S else 0.0
+
+
+def _columns(message: PointCloud2, names: Sequence[str]) -> list[NDArray[np.generic]]:
+    """One flat array of ``height · width`` values per name, without a copy where possible."""
+    fields = {field.name: field for field in message.fields}
+    if absent := [name for name in names if name not in fields]:
+        raise ValueError(
+            f"the point cloud has no field {', '.join(absent)}; it has {', '.join(fields)}"
+        )
+    shape = (message.height, message.width)
+    if 0 in shape:
+        return [np.empty(0, dtype=np.float32) for _ in names]
+    order = ">" if message.is_bigendian else "<"
+    # One row needs no row_step, and some publishers leave it 0.
+    row_step = message.row_step if message.height > 1 else message.width * message.point_step
+    needed = (message.height - 1) * row_step + message.width * message.point_step
+    data = np.asarray(message.data, dtype=np.uint8)
+    if data.size < needed or row_step < message.width * message.point_step:
+        raise ValueError(
+            f"the point cloud holds {data.size} bytes in rows of {row_step}, but says it has "
+            f"{message.height}×{message.width} points of {message.point_step} bytes"
+        )
+    columns = []
+    for field in (fields[name] for name in names):
+        if field.datatype not in _FORMATS:
+            raise ValueError(f"field {field.name} has the unknown datatype {field.datatype}")
+        dtype = np.dtype(order + _FORMATS[field.datatype])
+        if field.offset + dtype.itemsize > message.point_step:
+            raise ValueError(
+                f"field {field.name} ends at byte {field.offset + dtype.itemsize} of a point of "
+                f"{message.point_step} bytes"
+            )
+        column: NDArray[np.generic] = np.ndarray(
+            shape, dtype, data, offset=field.offset, strides=(row_step, message.point_step)
+        )
+        columns.append(column.reshape(-1))
+    return columns
