@@ -35,6 +35,23 @@ def make_settings() -> MakeSettings:
 
 
 @pytest.fixture(scope="session")
+def make_event_settings() -> MakeSettings:
+    """The same of event_street.yaml."""
+
+    def make(**overrides: object) -> SimulationSettings:
+        folder = Path(CONFIG_DIR) / "simulation"
+        street = OmegaConf.load(folder / "street.yaml")
+        events = OmegaConf.create(dict(OmegaConf.load(folder / "event_street.yaml")))
+        defaults = events.pop("defaults")
+        assert list(defaults) == ["street", "_self_"]
+        tiny = {"events": {"subframes": 3}}
+        merged = OmegaConf.to_container(OmegaConf.merge(street, events, TINY, tiny, overrides))
+        return SimulationSettings.from_mapping(cast(dict[str, object], merged))
+
+    return make
+
+
+@pytest.fixture(scope="session")
 def tiny_settings(make_settings: MakeSettings) -> SimulationSettings:
     return make_settings()
 
@@ -46,4 +63,19 @@ def tiny_simulation(
     """A finished simulation, written by two processes; tests must not change it."""
     root = tmp_path_factory.mktemp("simulated") / "root"
     simulate(tiny_settings, root, workers=2, progress=False)
+    return root
+
+
+@pytest.fixture(scope="session")
+def event_settings(make_event_settings: MakeSettings) -> SimulationSettings:
+    return make_event_settings(n_rigs=2, drives_per_rig=2, frames_per_drive=3)
+
+
+@pytest.fixture(scope="session")
+def event_simulation(
+    event_settings: SimulationSettings, tmp_path_factory: pytest.TempPathFactory
+) -> Path:
+    """A finished simulation with events, written by two processes; tests must not change it."""
+    root = tmp_path_factory.mktemp("simulated_events") / "root"
+    simulate(event_settings, root, workers=2, progress=False)
     return root

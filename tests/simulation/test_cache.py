@@ -72,7 +72,7 @@ def test_a_missing_frame_is_noticed(
     (data / "0000000001.bin").unlink()
     with caplog.at_level(logging.WARNING):
         ensure_simulated(tiny_settings, root, workers=1, progress=False)
-    assert "1 of 2 date folders are simulated again" in caplog.text
+    assert "1 of 2 rigs are simulated again" in caplog.text
     assert contents(root) == contents(tiny_simulation)
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pykitti  # type: ignore[import-untyped]
 
-from uncal.simulation.layout import prepare_date_folder
+from uncal.simulation.kitti_layout import prepare_date_folder
 from uncal.simulation.rig import draw_rig
 from uncal.simulation.settings import SimulationSettings
 

@@ -12,6 +12,7 @@ import pytest
 
 from uncal.errors import ConfigurationError, RecordingError
 from uncal.simulation import writer
+from uncal.simulation.kitti_layout import KittiLayout
 from uncal.simulation.rig import draw_rig
 from uncal.simulation.settings import SimulationSettings
 from uncal.simulation.writer import simulate
@@ -115,8 +116,8 @@ def test_workers_must_be_positive(tiny_settings: SimulationSettings, tmp_path: P
 def test_a_failing_worker_is_reported_and_leaves_no_half_folder(
     tiny_settings: SimulationSettings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    # Workers get the name of a drive folder that does not exist, so their first write fails.
-    monkeypatch.setattr(writer, "drive_name", lambda date, drive: "missing")
-    with pytest.raises(RecordingError, match=r"missing/image_02.*could not be written"):
+    # Workers find no drive folder, so their first write fails.
+    monkeypatch.setattr(KittiLayout, "prepare", lambda layout, rig, partial: partial.mkdir())
+    with pytest.raises(RecordingError, match=r"sync/image_02.*could not be written"):
         simulate(tiny_settings, tmp_path / "root", workers=1, progress=False)
     assert not list((tmp_path / "root").glob("2041*"))

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import logging
-import re
 import shutil
 from pathlib import Path
 
-from uncal.simulation.layout import is_complete
+from uncal.simulation.layout import is_own_folder, layout_of
 from uncal.simulation.locking import locked
 from uncal.simulation.manifest import Manifest, read_manifest
-from uncal.simulation.rig import rig_date
 from uncal.simulation.settings import SimulationSettings
 from uncal.simulation.writer import PARTIAL_PREFIX, write_missing
 
@@ -57,25 +55,28 @@ def ensure_simulated(
             # Only now: a removal that is cut short must still find the old list of folders.
             Manifest.of(settings, finished=False).write(root)
             present = None
-        dates = [rig_date(index) for index in range(settings.n_rigs)]
-        missing = [date for date in dates if not is_complete(settings, root / date, date)]
+        layout = layout_of(settings)
+        missing = [rig for rig in range(settings.n_rigs) if not layout.is_complete(rig, root)]
         if present is not None and present.finished and not missing:
             log.info("reusing the simulation in %s (%d frames)", root, settings.n_frames)
             return root
-        if present is not None and len(missing) < len(dates):
+        if present is not None and len(missing) < settings.n_rigs:
             log.warning(
-                "%s is incomplete: %d of %d date folders are simulated again",
+                "%s is incomplete: %d of %d rigs are simulated again",
                 root,
                 len(missing),
-                len(dates),
+                settings.n_rigs,
             )
         write_missing(settings, root, workers, progress)
     return root
 
 
-def _remove(root: Path, dates: list[str]) -> None:
+def _remove(root: Path, folders: list[str]) -> None:
     """Remove a simulation's own folders, nothing else, whatever its manifest has been edited to."""
-    own = [root / date for date in dates if re.fullmatch(r"\d{4}_\d{2}_\d{2}", date)]
+    own = [root / folder for folder in folders if is_own_folder(folder)]
     for folder in [*own, *root.glob(f"{PARTIAL_PREFIX}*")]:
         if folder.is_dir():
             shutil.rmtree(folder)
+    for parent in {folder.parent for folder in own} - {root}:
+        if parent.is_dir() and not any(parent.iterdir()):
+            parent.rmdir()

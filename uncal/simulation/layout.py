@@ -1,62 +1,70 @@
-"""Names, timestamps and completeness of a simulated date folder in the KITTI raw layout."""
+"""What the layouts have in common: which folders belong to a rig and how they come about."""
 
 from __future__ import annotations
 
-import datetime
-from collections.abc import Iterator
+import re
 from pathlib import Path
+from typing import Protocol
 
-from uncal.simulation.calibration_files import write_calibration
-from uncal.simulation.rig import draw_rig
+from uncal.simulation.drive import Piece
+from uncal.simulation.kitti_layout import KittiLayout
 from uncal.simulation.settings import SimulationSettings
 
-SENSORS = {"image_02": ".png", "velodyne_points": ".bin"}
+_FOLDER = re.compile(r"\d{4}_\d{2}_\d{2}|sim_\d{4}_[a-z]|data/sim_\d{4}")
 
 
-def drive_name(date: str, drive: int) -> str:
-    """Folder name of a drive.
+class Layout(Protocol):
+    """Writes the rigs of a simulation as one kind of recording.
 
-    >>> drive_name("2041_01_01", 0)
-    '2041_01_01_drive_0001_sync'
+    A rig is prepared, its pieces are written by any number of processes, and it is finished, all
+    in a folder ``partial`` that mirrors the root; then its folders move to the root.
     """
-    return f"{date}_drive_{drive + 1:04d}_sync"
+
+    def folders(self, rig: int) -> list[str]:
+        """Every folder of a rig, relative to the root, in the order in which they move there."""
+        ...
+
+    def prepare(self, rig: int, partial: Path) -> None:
+        """Create what does not depend on the frames; ``partial`` must not exist yet."""
+        ...
+
+    def write(self, piece: Piece, partial: Path) -> int:
+        """Simulate the frames of a piece; returns the bytes written.
+
+        Raises:
+            RecordingError: a file could not be written.
+        """
+        ...
+
+    def finish(self, rig: int, partial: Path) -> None:
+        """Put together what the pieces left, once all are written."""
+        ...
+
+    def is_complete(self, rig: int, root: Path) -> bool:
+        """Whether a rig is there as a whole, as far as a look at the files' names tells."""
+        ...
 
 
-def timestamps(date: str, drive: int, settings: SimulationSettings) -> Iterator[str]:
-    """KITTI's timestamp lines (nanoseconds); drives begin an hour apart, from 08:00 on."""
-    begin = datetime.datetime.strptime(date, "%Y_%m_%d") + datetime.timedelta(hours=8 + drive)
-    for frame in range(settings.frames_per_drive):
-        time = begin + datetime.timedelta(seconds=frame * settings.vehicle.frame_interval_s)
-        yield f"{time:%Y-%m-%d %H:%M:%S.%f}000\n"
+def layout_of(settings: SimulationSettings) -> Layout:
+    """DSEC's layout for an event camera, KITTI's for an ordinary one."""
+    if settings.events is None:
+        return KittiLayout(settings)
+    # Only here: HDF5 and ROS take a second to load, in every process.
+    from uncal.simulation.dsec_layout import DsecLayout
+
+    return DsecLayout(settings)
 
 
-def prepare_date_folder(settings: SimulationSettings, index: int, folder: Path) -> None:
-    """Create a date folder with everything but the frames.
+def all_folders(settings: SimulationSettings) -> list[str]:
+    """The folders of all rigs, relative to the root."""
+    layout = layout_of(settings)
+    return [folder for rig in range(settings.n_rigs) for folder in layout.folders(rig)]
 
-    Args:
-        settings: the simulation's settings.
-        index: number of the rig.
-        folder: must not exist yet; its name does not matter.
+
+def is_own_folder(folder: str) -> bool:
+    """Whether a simulation may write, and so replace, a folder of this name.
+
+    >>> [is_own_folder(name) for name in ("2041_01_02", "data/sim_0007", "../thesis", "data")]
+    [True, True, False, False]
     """
-    folder.mkdir(parents=True)
-    rig = draw_rig(settings, index)
-    write_calibration(rig, settings, folder)
-    for drive in range(settings.drives_per_rig):
-        name = folder / drive_name(rig.date, drive)
-        stamps = "".join(timestamps(rig.date, drive, settings))
-        # No inertial data is simulated, but readers look for its timestamps.
-        for sensor in (*SENSORS, "oxts"):
-            (name / sensor / "data").mkdir(parents=True)
-            (name / sensor / "timestamps.txt").write_text(stamps)
-
-
-def is_complete(settings: SimulationSettings, folder: Path, date: str) -> bool:
-    """Whether a date folder holds as many files as it should; contents are not read."""
-    for drive in range(settings.drives_per_rig):
-        for sensor, suffix in SENSORS.items():
-            data = folder / drive_name(date, drive) / sensor / "data"
-            if not data.is_dir():
-                return False
-            if sum(f.suffix == suffix for f in data.iterdir()) != settings.frames_per_drive:
-                return False
-    return (folder / "calib_velo_to_cam.txt").is_file()
+    return _FOLDER.fullmatch(folder) is not None

@@ -33,6 +33,7 @@ class Lidar:
         steps = max(round(settings.azimuth_fov_deg / settings.azimuth_step_deg), 1)
         azimuth = np.deg2rad((np.arange(steps) - (steps - 1) / 2) * settings.azimuth_step_deg)
         elevation, azimuth = np.meshgrid(elevations, azimuth, indexing="ij")
+        self._ring = np.repeat(np.arange(len(elevations), dtype=np.uint16), steps)
         flat = np.cos(elevation)
         rays = [flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)]
         self._rays = np.stack(rays, -1).reshape(-1, 3).astype(np.float32)
@@ -54,6 +55,12 @@ class Lidar:
         Returns:
             (N, 4) float32 x, y, z in metres in the LiDAR frame, and reflectance in 0..1.
         """
+        return self.sweep_with_rings(scene, T_world_lidar, rng)[0]
+
+    def sweep_with_rings(
+        self, scene: Scene, T_world_lidar: Matrix, rng: np.random.Generator
+    ) -> tuple[NDArray[np.float32], NDArray[np.uint16]]:
+        """What :meth:`sweep` gives, and the beam of each point, (N,), counted from the lowest."""
         limits = self.settings
         directions = self._rays @ T_world_lidar[:3, :3].T.astype(np.float32)
         origins = np.empty_like(directions)
@@ -75,4 +82,4 @@ class Lidar:
 
         shine = reflectance * (0.4 + 0.6 * cosine) * (1 + limits.reflectance_noise * noise[1])
         points = np.column_stack([self._rays * measured[:, None], shine.clip(0, 1)])
-        return np.ascontiguousarray(points[keep], np.float32)
+        return np.ascontiguousarray(points[keep], np.float32), self._ring[keep]

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from uncal.errors import RecordingError
-from uncal.simulation.rig import rig_date
+from uncal.simulation.layout import all_folders
 from uncal.simulation.settings import VERSION, SimulationSettings
 
 MANIFEST_NAME = "simulation.json"
@@ -27,7 +27,7 @@ class Manifest:
         version: the simulator's version.
         seed: the simulation's seed.
         n_frames: frames when finished.
-        dates: the date folders that belong to the simulation.
+        dates: the folders that belong to the simulation (KITTI: the dates), relative to the root.
         settings: all settings.
     """
 
@@ -52,7 +52,7 @@ class Manifest:
             version=VERSION,
             seed=settings.seed,
             n_frames=settings.n_frames,
-            dates=[rig_date(index) for index in range(settings.n_rigs)],
+            dates=all_folders(settings),
             settings=settings.as_dict(),
         )
 

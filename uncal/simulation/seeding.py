@@ -16,6 +16,10 @@ class Stream(IntEnum):
     TRAJECTORY = 3
     CAMERA = 4
     LIDAR = 5
+    MOTION = 6
+    EVENTS = 7
+    EVENT_PIXELS = 8
+    STEREO = 9
 
 
 def generator(seed: int, stream: Stream, *indices: int) -> np.random.Generator:

@@ -1,18 +1,18 @@
 """Settings of the simulator: frozen, complete, checked; every default lives in the YAML.
 
-The groups mirror ``conf/simulation/street.yaml``, which says what each key means.
+The groups mirror ``conf/simulation/street.yaml`` and ``event_street.yaml``, which say what each key
+means.
 """
 
 from __future__ import annotations
 
-import difflib
 import hashlib
 import json
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
-from typing import Annotated, ClassVar, TypeVar, cast, get_type_hints
+from dataclasses import asdict, dataclass
+from typing import Annotated, ClassVar
 
 from uncal.errors import ConfigurationError
+from uncal.simulation.settings_group import SettingsGroup, Within
 
 VERSION = 1
 """Raised whenever the same settings would no longer give the same files."""
@@ -20,90 +20,9 @@ VERSION = 1
 MAX_RIGS = 3652
 """One rig per calendar day of ten years."""
 
-GroupT = TypeVar("GroupT", bound="SettingsGroup")
-
-
-@dataclass(frozen=True)
-class Within:
-    """Bounds of a setting, both allowed; an annotation of its field."""
-
-    low: float
-    high: float
-
-
-@dataclass(frozen=True)
-class SettingsGroup:
-    """A group of settings that checks its own bounds and can be built from a mapping."""
-
-    key: ClassVar[str] = "simulation"
-
-    def __post_init__(self) -> None:
-        """Check every bounded field.
-
-        Raises:
-            ConfigurationError: names the key, its value and the bound.
-        """
-        for name, hint in get_type_hints(type(self), include_extras=True).items():
-            for bound in getattr(hint, "__metadata__", ()):
-                value = getattr(self, name)
-                if not bound.low <= value <= bound.high:
-                    raise ConfigurationError(
-                        f"{self.key}.{name} is {value}; it must lie between {bound.low} and "
-                        f"{bound.high}"
-                    )
-
-    def require_order(self, lower: str, upper: str) -> None:
-        """Raise unless the field ``lower`` is smaller than the field ``upper``."""
-        if not getattr(self, lower) < getattr(self, upper):
-            raise ConfigurationError(
-                f"{self.key}.{lower} is {getattr(self, lower)}; it must be smaller than "
-                f"{self.key}.{upper}, which is {getattr(self, upper)}"
-            )
-
-    @classmethod
-    def from_mapping(cls: type[GroupT], mapping: Mapping[str, object]) -> GroupT:
-        """Build the group from a plain or OmegaConf mapping.
-
-        Args:
-            mapping: exactly the keys of this class; nested groups are mappings themselves.
-
-        Raises:
-            ConfigurationError: a key is unknown or missing, or a value has the wrong type or lies
-                out of bounds.
-        """
-        hints = get_type_hints(cls)
-        names = [item.name for item in fields(cls)]
-        for key in mapping:
-            if key not in names:
-                close = difflib.get_close_matches(str(key), names, n=1)
-                hint = f"; did you mean {cls.key}.{close[0]}?" if close else ""
-                raise ConfigurationError(
-                    f"unknown setting {cls.key}.{key}{hint} Known here: {', '.join(names)}"
-                )
-        missing = [name for name in names if name not in mapping]
-        if missing:
-            raise ConfigurationError(
-                f"missing setting {', '.join(f'{cls.key}.{name}' for name in missing)}; "
-                "conf/simulation/street.yaml lists every key with its unit"
-            )
-        return cls(**{name: _convert(cls.key, name, hints[name], mapping[name]) for name in names})
-
-
-def _convert(group: str, name: str, expected: type, value: object) -> object:
-    """Turn a YAML value into the field's type without losing anything."""
-    if issubclass(expected, SettingsGroup):
-        if not isinstance(value, Mapping):
-            raise ConfigurationError(f"{group}.{name} is {value!r}; it must be a group of keys")
-        return expected.from_mapping(cast(Mapping[str, object], value))
-    if expected is bool and isinstance(value, bool):
-        return value
-    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
-    if expected is float and is_number:
-        return float(cast(float, value))
-    if expected is int and is_number and float(cast(float, value)).is_integer():
-        return int(cast(float, value))
-    kind = {bool: "true or false", int: "a whole number", float: "a number"}[expected]
-    raise ConfigurationError(f"{group}.{name} is {value!r}; it must be {kind}")
+MAX_SEQUENCES = 26
+MAX_SEQUENCE_S = 1800.0
+"""26 sequences of half an hour each begin at 08:00 and end before midnight."""
 
 
 @dataclass(frozen=True)
@@ -194,10 +113,29 @@ class SceneSettings(SettingsGroup):
 
 
 @dataclass(frozen=True)
+class EventSettings(SettingsGroup):
+    """The event camera, and the motion that it needs; see the YAML for units."""
+
+    key: ClassVar[str] = "simulation.events"
+    window_ms: Annotated[float, Within(1.0, 1000.0)]
+    subframes: Annotated[int, Within(1, 1000)]
+    threshold_on: Annotated[float, Within(0.02, 2.0)]
+    threshold_off: Annotated[float, Within(0.02, 2.0)]
+    threshold_mismatch: Annotated[float, Within(0.0, 0.5)]
+    refractory_us: Annotated[float, Within(0.0, 1e5)]
+    noise_hz: Annotated[float, Within(0.0, 1000.0)]
+    dark: Annotated[float, Within(1e-4, 1.0)]
+    distortion: Annotated[float, Within(-0.3, 0.3)]
+    yaw_rate_deg_s: Annotated[float, Within(0.0, 90.0)]
+    sway_rate_deg_s: Annotated[float, Within(0.0, 90.0)]
+
+
+@dataclass(frozen=True)
 class SimulationSettings(SettingsGroup):
     """Everything that determines the simulated files.
 
-    Two equal settings give byte-identical recordings on one platform.
+    Two equal settings give byte-identical recordings on one platform. With ``events`` the camera
+    is an event camera and the layout DSEC's; without, it takes pictures and the layout is KITTI's.
     """
 
     key: ClassVar[str] = "simulation"
@@ -210,6 +148,29 @@ class SimulationSettings(SettingsGroup):
     rig: RigSettings
     vehicle: VehicleSettings
     scene: SceneSettings
+    events: EventSettings | None = None
+
+    def __post_init__(self) -> None:
+        """Check bounds, and that a recording with events fits its clocks."""
+        super().__post_init__()
+        if self.events is None:
+            return
+        if self.drives_per_rig > MAX_SEQUENCES:
+            raise ConfigurationError(
+                f"simulation.drives_per_rig is {self.drives_per_rig}; with simulation.events at "
+                f"most {MAX_SEQUENCES}, one per letter of DSEC's names"
+            )
+        if self.frames_per_drive * self.vehicle.frame_interval_s > MAX_SEQUENCE_S:
+            raise ConfigurationError(
+                f"simulation.frames_per_drive is {self.frames_per_drive}; with simulation.events "
+                f"at most {int(MAX_SEQUENCE_S / self.vehicle.frame_interval_s)} fit into half an "
+                "hour, one of DSEC's sequences; raise simulation.drives_per_rig instead"
+            )
+        if self.events.window_ms > 1000 * self.vehicle.frame_interval_s:
+            raise ConfigurationError(
+                f"simulation.events.window_ms is {self.events.window_ms}; it must not be longer "
+                f"than simulation.vehicle.frame_interval_s, {self.vehicle.frame_interval_s} s"
+            )
 
     @property
     def n_frames(self) -> int:
@@ -217,8 +178,8 @@ class SimulationSettings(SettingsGroup):
         return self.n_rigs * self.drives_per_rig * self.frames_per_drive
 
     def as_dict(self) -> dict[str, object]:
-        """Nested plain values, as written into the manifest."""
-        return asdict(self)
+        """Nested plain values, as written into the manifest; nothing where there is no group."""
+        return {name: value for name, value in asdict(self).items() if value is not None}
 
     def fingerprint(self) -> str:
         """Hash of the settings and of :data:`VERSION`: equal fingerprint, equal files."""

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from uncal.simulation.rigid import Matrix, pose_matrix
 from uncal.simulation.seeding import Stream, generator
-from uncal.simulation.settings import SimulationSettings
+from uncal.simulation.settings import EventSettings, SimulationSettings
 from uncal.simulation.street import Street
 
 
@@ -44,3 +45,32 @@ def vehicle_pose(
     position = street.world(np.array([s, -street.lane_m / 2 + drift, height]))
     heading = float(street.heading(s)) + wander
     return pose_matrix(position, (roll, pitch + float(street.incline(s)), heading))
+
+
+def pose_around(
+    settings: SimulationSettings,
+    T_world_vehicle: Matrix,
+    rates: NDArray[np.float64],
+    seconds: float,
+) -> Matrix:
+    """T_world_vehicle (4, 4) shortly before or after a moment, at constant speed and turn rates.
+
+    Args:
+        settings: for the vehicle's speed.
+        T_world_vehicle: (4, 4) pose at that moment.
+        rates: (3,) roll, pitch and yaw rate, radians per second.
+        seconds: time since that moment; negative is before.
+    """
+    ahead = np.array([settings.vehicle.speed_mps * seconds, 0.0, 0.0])
+    return T_world_vehicle @ pose_matrix(ahead, rates * seconds)
+
+
+def turn_rates(events: EventSettings, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Draw roll, pitch and yaw rate of one window, (3,) radians per second.
+
+    Args:
+        events: the largest rates.
+        rng: draws them.
+    """
+    largest = [events.sway_rate_deg_s, events.sway_rate_deg_s, events.yaw_rate_deg_s]
+    return np.deg2rad(largest) * rng.uniform(-1, 1, 3)

@@ -1,4 +1,4 @@
-"""Simulates all rigs on all cores and writes their date folders, each one whole or not at all."""
+"""Simulates all rigs on all cores and writes their folders, each rig whole or not at all."""
 
 from __future__ import annotations
 
@@ -19,11 +19,10 @@ from tqdm import tqdm
 
 from uncal.errors import ConfigurationError, RecordingError
 from uncal.memory import keep_freed_memory
-from uncal.simulation.drive import Piece, write_frames
-from uncal.simulation.layout import drive_name, is_complete, prepare_date_folder
+from uncal.simulation.drive import Piece
+from uncal.simulation.layout import Layout, layout_of
 from uncal.simulation.locking import locked
 from uncal.simulation.manifest import Manifest, read_manifest
-from uncal.simulation.rig import rig_date
 from uncal.simulation.settings import SimulationSettings
 
 log = logging.getLogger(__name__)
@@ -42,13 +41,13 @@ def simulate(
     workers: int | None = None,
     progress: bool = True,
 ) -> None:
-    """Write a simulation; date folders that are already complete are kept.
+    """Write a simulation; rigs that are already complete are kept.
 
     The result depends on the settings alone, not on the number of processes.
 
     Args:
         settings: what to simulate.
-        root: folder for the date folders; created if missing.
+        root: folder for the recordings; created if missing.
         workers: processes; None: one per available core.
         progress: whether to show a progress bar.
 
@@ -78,11 +77,8 @@ def write_missing(
     Manifest.of(settings, finished=False).write(root)
     for leftover in root.glob(f"{PARTIAL_PREFIX}*"):
         shutil.rmtree(leftover)
-    todo = [
-        index
-        for index in range(settings.n_rigs)
-        if not is_complete(settings, root / rig_date(index), rig_date(index))
-    ]
+    layout = layout_of(settings)
+    todo = [index for index in range(settings.n_rigs) if not layout.is_complete(index, root)]
     if todo:
         begin = time.perf_counter()
         _simulate_rigs(settings, root, todo, workers or available_cores(), progress)
@@ -102,7 +98,8 @@ def available_cores() -> int:
 def _simulate_rigs(
     settings: SimulationSettings, root: Path, todo: list[int], workers: int, progress: bool
 ) -> None:
-    partial = {index: root / f"{PARTIAL_PREFIX}{rig_date(index)}" for index in todo}
+    layout = layout_of(settings)
+    partial = {index: root / f"{PARTIAL_PREFIX}{index:04d}" for index in todo}
     pieces = [piece for index in todo for piece in _pieces(settings, index)]
     open_pieces = dict.fromkeys(todo, len(pieces) // len(todo))
     per_rig = settings.drives_per_rig * settings.frames_per_drive
@@ -116,10 +113,9 @@ def _simulate_rigs(
     with _process_pool(min(workers, len(pieces))) as pool, bar:
         futures: dict[Future[int], Piece] = {}
         for index in todo:
-            prepare_date_folder(settings, index, partial[index])
+            layout.prepare(index, partial[index])
         for piece in pieces:
-            folder = partial[piece.rig] / drive_name(rig_date(piece.rig), piece.drive)
-            futures[pool.submit(write_frames, settings, piece, folder)] = piece
+            futures[pool.submit(layout.write, piece, partial[piece.rig])] = piece
         try:
             for future in as_completed(futures):
                 future.result()
@@ -127,11 +123,12 @@ def _simulate_rigs(
                 bar.update(piece.last - piece.first)
                 open_pieces[piece.rig] -= 1
                 if not open_pieces[piece.rig]:
-                    _publish(partial[piece.rig], root / rig_date(piece.rig))
+                    layout.finish(piece.rig, partial[piece.rig])
+                    _publish(layout, piece.rig, partial[piece.rig], root)
         except BrokenProcessPool as error:
             raise RecordingError(
                 "a simulating process was killed, perhaps for lack of memory; run again (finished "
-                "date folders are kept) with fewer workers"
+                "rigs are kept) with fewer workers"
             ) from error
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
@@ -148,11 +145,15 @@ def _pieces(settings: SimulationSettings, index: int) -> list[Piece]:
     ]
 
 
-def _publish(partial: Path, final: Path) -> None:
-    """Give a finished folder its name; an incomplete one of that name is replaced."""
-    if final.exists():
-        shutil.rmtree(final)
-    partial.rename(final)
+def _publish(layout: Layout, rig: int, partial: Path, root: Path) -> None:
+    """Give the folders of a finished rig their names; incomplete ones of that name are replaced."""
+    for name in layout.folders(rig):
+        final = root / name
+        if final.exists():
+            shutil.rmtree(final)
+        final.parent.mkdir(exist_ok=True)
+        (partial / name).rename(final)
+    shutil.rmtree(partial)
 
 
 @contextlib.contextmanager

@@ -1,0 +1,178 @@
+"""The event camera: what its pixels report while the light on them changes.
+
+A pixel remembers the logarithm of the light at its last event and reports an event each time the
+logarithm has changed by its threshold since; the model of Rebecq et al., "ESIM: an Open Event
+Camera Simulator" (CoRL 2018), section 3, with sub-frames at given times.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uncal.simulation.settings import EventSettings
+
+Image = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SensorEvents:
+    """Events in the sensor's own, unrectified pixels, in the order of time.
+
+    Attributes:
+        x: (n,) uint16 column.
+        y: (n,) uint16 row.
+        t: (n,) int64 microseconds.
+        p: (n,) bool, whether the pixel became brighter.
+    """
+
+    x: NDArray[np.uint16]
+    y: NDArray[np.uint16]
+    t: NDArray[np.int64]
+    p: NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        """Number of events."""
+        return len(self.t)
+
+
+def merge(parts: Sequence[SensorEvents]) -> SensorEvents:
+    """All events of several streams in the order of time."""
+    t = np.concatenate([part.t for part in parts])
+    order = np.argsort(t, kind="stable")
+    x, y = (np.concatenate([getattr(part, axis) for part in parts])[order] for axis in "xy")
+    return SensorEvents(x, y, t[order], np.concatenate([part.p for part in parts])[order])
+
+
+def crossings(
+    log_light: NDArray[np.floating],  # (K + 1, H, W) logarithm of the light
+    times: NDArray[np.integer],  # (K + 1,) microseconds, ascending
+    reference: Image,  # (H, W) what the pixels remember at times[0]
+    on: Image,  # (H, W) threshold of getting brighter, > 0
+    off: Image,  # (H, W) threshold of getting darker, > 0
+    refractory_us: float,  # dead time after an event
+) -> SensorEvents:
+    """Events of a sequence of images, the logarithm taken as linear in time between two of them.
+
+    Between sub-frames L0 at t0 and L1 at t1, a pixel that remembers R and has the threshold C
+    crosses at t = t0 + (R ± j·C - L0) / (L1 - L0) · (t1 - t0), j = 1, 2, … A crossing within the
+    refractory period after the pixel's last event is not reported, but remembered (as in ESIM).
+
+    Returns:
+        Events with t in [times[0], times[-1]).
+
+    >>> light = np.array([0.0, 1.0]).reshape(2, 1, 1)
+    >>> zero, fourth = np.zeros((1, 1)), np.full((1, 1), 0.25)
+    >>> crossings(light, np.array([0, 1000]), zero, fourth, fourth, 0.0).t.tolist()
+    [250, 500, 750, 999]
+    >>> crossings(light, np.array([0, 1000]), zero, fourth, fourth, 300.0).t.tolist()
+    [250, 750]
+    """
+    width = log_light.shape[2]
+    light = log_light.reshape(len(log_light), -1).astype(np.float64)
+    memory, rise, fall = (each.ravel().astype(np.float64) for each in (reference, on, off))
+    last = np.full(memory.shape, -np.inf)
+    found_pixel, found_time = [np.empty(0, np.intp)], [np.empty(0)]
+    found_sign = [np.empty(0, np.bool_)]
+    for before, after, begin, end in zip(light, light[1:], times, times[1:], strict=False):
+        since, change = after - memory, after - before
+        brighter, darker = (since >= rise) & (change > 0), (since <= -fall) & (change < 0)
+        pixel = np.flatnonzero(brighter | darker)
+        step = np.where(brighter, rise, -fall)[pixel]
+        count = np.floor(since[pixel] / step).astype(int)
+        first, slope = memory[pixel] - before[pixel], change[pixel]
+        memory[pixel] += count * step
+        crossing = np.arange(len(pixel))
+        level = 1
+        while len(crossing):
+            share = (first[crossing] + level * step[crossing]) / slope[crossing]
+            moment = begin + share.clip(0, 1) * (end - begin)
+            awake = moment >= last[pixel[crossing]] + refractory_us
+            fired, moment = pixel[crossing[awake]], moment[awake]
+            last[fired] = moment
+            found_pixel.append(fired)
+            found_time.append(moment)
+            found_sign.append(step[crossing[awake]] > 0)
+            level += 1
+            crossing = crossing[count[crossing] >= level]
+    # A crossing on the last moment belongs to the window, which does not hold its own end.
+    t = np.minimum(np.concatenate(found_time).astype(np.int64), int(times[-1]) - 1)
+    order = np.argsort(t, kind="stable")
+    y, x = np.divmod(np.concatenate(found_pixel)[order], width)
+    p = np.concatenate(found_sign)[order]
+    return SensorEvents(x.astype(np.uint16), y.astype(np.uint16), t[order], p)
+
+
+def shot_noise(
+    rate_hz: float, size: tuple[int, int], begin: int, end: int, rng: np.random.Generator
+) -> SensorEvents:
+    """Events that nothing has caused: a Poisson process of one rate in every pixel.
+
+    Args:
+        rate_hz: events per second and pixel.
+        size: (H, W), pixels.
+        begin: first microsecond.
+        end: one past the last microsecond.
+        rng: draws them.
+    """
+    height, width = size
+    n = int(rng.poisson(rate_hz * height * width * (end - begin) * 1e-6))
+    x = rng.integers(width, size=n, dtype=np.uint16)
+    y = rng.integers(height, size=n, dtype=np.uint16)
+    t = np.sort(rng.integers(begin, end, n))
+    return SensorEvents(x, y, t, rng.random(n) < 0.5)
+
+
+class EventCamera:
+    """A sensor whose pixels differ a little, as they do in silicon.
+
+    Each pixel's thresholds are C·exp(s·n) with n from the standard normal distribution: positive
+    for every draw, C in the median, and s their relative spread. They belong to the rig.
+    """
+
+    def __init__(
+        self, settings: EventSettings, size: tuple[int, int], rng: np.random.Generator
+    ) -> None:
+        """Draw the pixels.
+
+        Args:
+            settings: thresholds, their mismatch, refractory period, noise.
+            size: (H, W), pixels.
+            rng: draws the thresholds.
+        """
+        self.settings = settings
+        self.size = size
+        spread = np.exp(settings.threshold_mismatch * rng.standard_normal((2, *size)))
+        self.on: Image = settings.threshold_on * spread[0]
+        self.off: Image = settings.threshold_off * spread[1]
+
+    def watch(
+        self,
+        luminance: NDArray[np.float32],
+        times: NDArray[np.int64],
+        rng: np.random.Generator,
+    ) -> SensorEvents:
+        """Report what changes, and noise.
+
+        The pixels have watched before: each stands somewhere between its two thresholds, every
+        place as likely as another, so that a change smaller than a threshold is reported with a
+        probability that is proportional to it.
+
+        Args:
+            luminance: (K + 1, H, W) linear light in any unit.
+            times: (K + 1,) of these images, microseconds.
+            rng: draws the pixels' past and the noise.
+        """
+        settings = self.settings
+        dark = np.float32(settings.dark * luminance[-1].mean(dtype=np.float64))
+        log_light = np.log(luminance + dark)
+        past = rng.random(self.size) * (self.on + self.off) - self.off
+        begin, end = int(times[0]), int(times[-1])
+        noise = shot_noise(settings.noise_hz, self.size, begin, end, rng)
+        seen = crossings(
+            log_light, times, log_light[0] - past, self.on, self.off, settings.refractory_us
+        )
+        return merge([seen, noise])
