@@ -1,10 +1,27 @@
-import pytest
-from hydra import compose, initialize_config_dir
-from omegaconf import OmegaConf
+from pathlib import Path
 
-from uncal.assembly import build_module, image_size, validation_interval
+import pytest
+import torch
+from hydra import compose, initialize_config_dir
+from hydra.utils import instantiate
+from omegaconf import DictConfig, OmegaConf
+
+from uncal.assembly import (
+    build_data,
+    build_module,
+    check_pairing,
+    image_size,
+    say_simulated,
+    validation_interval,
+)
 from uncal.configuration import CONFIG_DIR
 from uncal.errors import ConfigurationError
+from uncal.models.muliev import MuliEv
+
+
+def composed(*overrides: str) -> DictConfig:
+    with initialize_config_dir(CONFIG_DIR, version_base="1.3"):
+        return compose("train", list(overrides))
 
 
 @pytest.mark.parametrize("backbone", ["correlation", "mobilevit_xxs", "mobilevit_s"])
@@ -16,6 +33,53 @@ def test_every_model_option_builds(backbone: str, head: str) -> None:
     rates = set(module.engine.identity().rates)
     assert {0.25, 0.05} <= rates
     assert module.recipe["seed"] == 0
+
+
+@pytest.mark.parametrize("backbone", ["correlation", "mobilevit_xxs"])
+@pytest.mark.parametrize(
+    ("representation", "channels"), [("voxel_grid", 12), ("histogram", 4), ("time_surface", 4)]
+)
+def test_every_event_representation_builds(
+    backbone: str, representation: str, channels: int
+) -> None:
+    choices = [f"model/backbone={backbone}", f"model/inputs/events={representation}"]
+    config = composed("dataset=dsec", *choices)
+    module = build_module(config)
+    assert isinstance(module.estimator.network, MuliEv)
+    assert {0.25, 0.10} <= set(module.engine.identity().rates)
+    x = torch.zeros(2, channels, 64, 96)
+    K = torch.tensor([[90.0, 0.0, 48.0], [0.0, 90.0, 32.0], [0.0, 0.0, 1.0]]).expand(2, 3, 3)
+    assert module.estimator(x, x[:, :1], K, torch.eye(4).expand(2, 4, 4)).shape == (2, 6)
+
+
+@pytest.mark.parametrize(
+    ("dataset", "model"),
+    [("demo", "unical"), ("kitti", "unical"), ("dsec", "muliev"), ("demo_events", "muliev")],
+)
+def test_a_dataset_chooses_the_model_that_can_read_it(dataset: str, model: str) -> None:
+    config = composed(f"dataset={dataset}")
+    assert config.model.name == model
+    check_pairing(config, instantiate(config.model.inputs))
+
+
+@pytest.mark.parametrize(
+    ("dataset", "model", "remedy"),
+    [("demo_events", "unical", "choose model=muliev"), ("kitti", "muliev", "choose model=unical")],
+)
+def test_a_model_that_cannot_read_the_dataset_is_refused_before_anything_is_made(
+    dataset: str, model: str, remedy: str, tmp_path: Path
+) -> None:
+    root = tmp_path / "nothing"
+    config = composed(f"dataset={dataset}", f"model={model}", f"dataset.root={root}")
+    assert config.model.name == model
+    with pytest.raises(ConfigurationError, match=f"model={model} .*dataset={dataset}.*{remedy}"):
+        build_data(config)
+    assert not root.exists()
+
+
+def test_a_blind_model_can_read_anything() -> None:
+    config = composed("dataset=dsec", "model.inputs.channels=[inverse_depth,intensity]")
+    check_pairing(config, instantiate(config.model.inputs))
 
 
 def test_the_recipe_holds_plain_values_only() -> None:
@@ -53,3 +117,14 @@ def test_a_bad_image_size_is_named(size: object) -> None:
     value = OmegaConf.create({"size": size}).size
     with pytest.raises(ConfigurationError, match="image_size"):
         image_size(value)
+
+
+def test_a_simulation_that_stands_in_for_recordings_says_so(tmp_path: Path) -> None:
+    config = OmegaConf.create({"dataset": {"root": str(tmp_path), "label": "DSEC"}})
+    say_simulated(config)
+    assert config.dataset.label == "DSEC"
+    (tmp_path / "simulation.json").write_text("{}")
+    say_simulated(config)
+    assert config.dataset.label == "simulated (a stand-in for DSEC)"
+    say_simulated(config)
+    assert config.dataset.label == "simulated (a stand-in for DSEC)"

@@ -3,6 +3,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from hydra.errors import InstantiationException
+from hydra.utils import instantiate
 
 from uncal.configuration import CONFIG_DIR, INTERRUPTED, exits_on_error, find_config_dir
 from uncal.errors import ConfigurationError, RecordingError
@@ -42,6 +44,19 @@ def test_entry_points_end_with_a_message_or_a_code(error: BaseException, code: o
     with pytest.raises(SystemExit) as ended:
         main()
     assert ended.value.code == code
+
+
+def test_what_a_constructor_says_is_not_wrapped() -> None:
+    @exits_on_error
+    def main(target: str) -> None:
+        instantiate({"_target_": target, "root": "no/such/folder"})
+
+    with pytest.raises(SystemExit) as ended:
+        main("uncal.recordings.kitti.KittiRaw")
+    assert str(ended.value.code).startswith("The recordings folder no/such/folder does not exist")
+    assert "\n  no/such/folder/" in str(ended.value.code)
+    with pytest.raises(InstantiationException, match="TypeError"):
+        main("os.scandir")
 
 
 def test_other_errors_keep_their_traceback_and_results_pass() -> None:

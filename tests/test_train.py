@@ -181,7 +181,8 @@ def test_quantile_regression_needs_its_head(workplace: Path) -> None:
 def test_quantile_regression_runs_with_it(demo: object, workplace: Path) -> None:
     finished = train(workplace, "cqr", "interval=cqr", "model/head=quantile")
     assert finished.returncode == 0, finished.stderr[-4000:]
-    assert "intervals of kind quantile" in (workplace / "cqr" / "results.md").read_text(encoding="utf-8")
+    markdown = (workplace / "cqr" / "results.md").read_text(encoding="utf-8")
+    assert "intervals of kind quantile" in markdown
 
 
 def test_a_second_run_reuses_the_simulation_and_a_resumed_one_goes_on(

@@ -14,12 +14,14 @@ from omegaconf import DictConfig, OmegaConf
 from torch import nn
 
 from uncal.data.datamodule import CalibrationDataModule
+from uncal.data.network_input import CAMERAS, InputSettings
 from uncal.decalibration import DecalibrationRange
 from uncal.errors import ConfigurationError
 from uncal.geometry import DOF_NAMES
 from uncal.models.module import CalibrationModule
 from uncal.recordings.frame import Recording
 from uncal.simulation.cache import ensure_simulated
+from uncal.simulation.manifest import MANIFEST_NAME
 from uncal.simulation.settings import SimulationSettings
 from uncal.uncertainty.calibrator import IntervalCalibrator
 from uncal.uncertainty.dropout import insert_dropout
@@ -30,6 +32,10 @@ log = logging.getLogger(__name__)
 
 MCD_KEYS = ("passes", "strategy", "chunk", "masks", "layers", "insert")
 INTERVAL_KEYS = ("levels", "sigma_floor", "groups", "quantile_levels", "calibrator")
+
+MODELS = {"rgb": "unical", "events": "muliev"}
+DATASETS = {"rgb": "demo, kitti or kitti_odometry", "events": "demo_events or dsec"}
+"""What to choose for a camera, for messages."""
 
 RECIPE = ("seed", "dataset", "model", "split", "mcd", "interval", "decalibration", "augmentation")
 """The parts of a configuration that a checkpoint carries: what another process needs to use it."""
@@ -48,10 +54,13 @@ def build_data(config: DictConfig) -> CalibrationDataModule:
         UncalError: the recording or a setting cannot be used; the message says which and why.
     """
     dataset = config.dataset
+    inputs: InputSettings = instantiate(config.model.inputs)
+    check_pairing(config, inputs)
     if "simulation" in dataset:
         plain = OmegaConf.to_container(dataset.simulation, resolve=True)
         settings = SimulationSettings.from_mapping(cast(Mapping[str, object], plain))
         ensure_simulated(settings, Path(dataset.root))
+    say_simulated(config)
     recording: Recording = instantiate(dataset.recording)
     log.info("%s data: %d frames in %s", dataset.label, len(recording.frame_ids), dataset.root)
     return CalibrationDataModule(
@@ -60,9 +69,41 @@ def build_data(config: DictConfig) -> CalibrationDataModule:
         decalibration=instantiate(config.decalibration),
         split=instantiate(config.split),
         loader=instantiate(dataset.loader),
-        inputs=instantiate(config.model.inputs),
+        inputs=inputs,
         augmentation=instantiate(config.augmentation),
         seed=config.seed,
+    )
+
+
+def say_simulated(config: DictConfig) -> None:
+    """Put "simulated" into the label of a simulation that stands in for real recordings.
+
+    Args:
+        config: the run's configuration; changed in place.
+    """
+    dataset = config.dataset
+    if (Path(dataset.root) / MANIFEST_NAME).is_file() and "simulated" not in dataset.label:
+        dataset.label = f"simulated (a stand-in for {dataset.label})"
+        log.warning("%s was simulated: the results say so", dataset.root)
+
+
+def check_pairing(config: DictConfig, inputs: InputSettings) -> None:
+    """Make sure that the dataset has what the model reads.
+
+    Args:
+        config: the run's configuration.
+        inputs: the model's.
+
+    Raises:
+        ConfigurationError: it has not.
+    """
+    offers = choice("dataset.offers", config.dataset.get("offers", "rgb"), CAMERAS)
+    if inputs.camera in (None, offers):
+        return
+    raise ConfigurationError(
+        f"model={config.model.name} reads {inputs.camera}, but dataset={config.dataset.name} "
+        f"offers {offers}: choose model={MODELS[offers]}, or a dataset that offers "
+        f"{inputs.camera} ({DATASETS[str(inputs.camera)]})"
     )
 
 

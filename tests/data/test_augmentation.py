@@ -15,7 +15,7 @@ def batch(n: int) -> Batch:
     return Batch(
         place=torch.arange(n),
         frames=[FrameId("rig", "drive", i) for i in range(n)],
-        image=torch.randint(0, 256, (n, 3, 40, 64), dtype=torch.uint8),
+        camera=torch.randint(0, 256, (n, 3, 40, 64), dtype=torch.uint8),
         points=torch.cat([xyz, torch.rand(n, 4000, 1)], -1),
         K=torch.tensor([[60.0, 0.0, 30.2], [0.0, 58.0, 19.6], [0.0, 0.0, 1.0]]).repeat(n, 1, 1),
         T_cam_lidar=CAMERA_FROM_LIDAR @ pose_to_matrix(0.1 * torch.randn(n, 6)),
@@ -31,8 +31,8 @@ def test_the_mirrored_rig_sees_the_mirrored_scene() -> None:
     after = project(flipped.points, flipped.T_cam_lidar, flipped.K, (40, 64))
     for b, is_flipped in enumerate([True, False, True]):
         expected = before.inverse_depth[b].flip(-1) if is_flipped else before.inverse_depth[b]
-        image = plain.image[b].flip(-1) if is_flipped else plain.image[b]
-        assert torch.equal(flipped.image[b], image)
+        image = plain.camera[b].flip(-1) if is_flipped else plain.camera[b]
+        assert torch.equal(flipped.camera[b], image)
         # Points on a pixel's border round to the other side when mirrored.
         assert torch.isclose(after.inverse_depth[b], expected).float().mean() > 0.998
     torch.testing.assert_close(
@@ -43,8 +43,8 @@ def test_the_mirrored_rig_sees_the_mirrored_scene() -> None:
 def test_brightness_and_contrast_leave_the_geometry_alone() -> None:
     plain = batch(4)
     changed = Augmentation(mirror=0.0, brightness=0.3, contrast=0.3)(plain)
-    assert not torch.equal(changed.image, plain.image)
-    assert changed.image.dtype == torch.uint8
+    assert not torch.equal(changed.camera, plain.camera)
+    assert changed.camera.dtype == torch.uint8
     assert torch.equal(changed.points, plain.points)
     assert torch.equal(changed.T_cam_lidar, plain.T_cam_lidar)
 
@@ -52,3 +52,13 @@ def test_brightness_and_contrast_leave_the_geometry_alone() -> None:
 def test_no_augmentation_is_no_change() -> None:
     plain = batch(2)
     assert Augmentation(mirror=0.0, brightness=0.0, contrast=0.0)(plain) is plain
+
+
+def test_events_are_mirrored_and_nothing_else() -> None:
+    torch.manual_seed(1)
+    events = torch.randn(3, 5, 40, 64).half()
+    changed = Augmentation(mirror=1.0, brightness=0.3, contrast=0.3)(
+        batch(3)._replace(camera=events)
+    )
+    assert changed.camera.dtype == torch.float16
+    assert torch.equal(changed.camera, events.flip(-1))

@@ -35,6 +35,30 @@ def test_the_peak_is_where_the_image_has_what_the_lidar_sees(rows: int, columns:
             assert int(evidence.mean(1).argmax()) == expected // 9
 
 
+@pytest.mark.parametrize("edges", ["density", "channels"])
+def test_events_of_both_signs_are_edges_too(edges: str) -> None:
+    x = boxes((0, -6))
+    signed = x[:, :1] * torch.tensor([1.0, -1.0])[None, :, None, None]  # cancels in the mean
+    events = torch.cat([signed, x[:, 3:]], 1)
+    volume = EdgeCorrelation(2, 4, edges)(events).unflatten(1, (PAIRS, 81))
+    evidence = volume[0, 0].mean((1, 2)).unflatten(0, (9, 9))
+    assert int(evidence.mean(0).argmax()) == 4 + 3
+    blind = EdgeCorrelation(2, 4, "mean")(events)
+    assert blind.abs().max() == 0.0
+
+
+def test_one_channel_has_the_same_edges_in_every_way() -> None:
+    x = boxes((2, 2))[:, 2:]
+    one, other, third = (EdgeCorrelation(1, 2, e)(x) for e in ("mean", "density", "channels"))
+    torch.testing.assert_close(one, other)
+    torch.testing.assert_close(one, third)
+
+
+def test_unknown_edges_are_refused() -> None:
+    with pytest.raises(ConfigurationError, match="image_edges=sobel"):
+        EdgeCorrelation(3, 2, "sobel")
+
+
 def test_shapes_and_no_gradient() -> None:
     correlation = EdgeCorrelation(image_channels=3, radius=2)
     x = boxes((0, 0)).requires_grad_()

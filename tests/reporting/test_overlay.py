@@ -1,7 +1,9 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from uncal.reporting.overlay import draw_points, overlay_panel
+from uncal.events.pixel_map import PixelMap
+from uncal.events.stream import Events
+from uncal.reporting.overlay import draw_events, draw_points, overlay_panel
 
 K = np.array([[50.0, 0.0, 31.5], [0.0, 50.0, 15.5], [0.0, 0.0, 1.0]])
 T = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
@@ -52,3 +54,38 @@ def test_a_panel_has_one_captioned_row_per_extrinsic() -> None:
     two = overlay_panel(GREY, points, K, {"true": T, "estimated": T}, scale=2)
     assert two.shape == (2 * one.shape[0], one.shape[1], 3)
     assert one.shape[0] > 64
+
+
+def events_at(columns: list[float], rows: list[float], brighter: list[bool]) -> Events:
+    x, y = np.array(columns, np.float32), np.array(rows, np.float32)
+    t = np.arange(len(x), dtype=np.int64)
+    return Events(x, y, t, np.array(brighter, np.bool_), (0, 100), (8, 16))
+
+
+def test_events_are_blue_where_it_got_brighter_and_red_where_darker() -> None:
+    picture = draw_events(
+        events_at([2.0, 9.0, 5.0], [1.0, 6.0, 3.0], [True, False, True]),
+        (8, 16),
+        PixelMap.identity(),
+    ).astype(int)
+    assert (picture[0, 0] == 255).all()
+    assert picture[1, 2, 2] > picture[1, 2, 0] + 50  # blue over red
+    assert picture[6, 9, 0] > picture[6, 9, 2] + 50
+    assert ((picture < 255).any(-1)).sum() == 3
+
+
+def test_more_events_are_stronger_and_both_signs_mix() -> None:
+    columns = [1.0] + [3.0] * 4 + [5.0] * 4
+    signs = [True] * 5 + [True, True, False, False]
+    picture = draw_events(
+        events_at(columns, [2.0] * 9, signs), (8, 16), PixelMap.identity()
+    ).astype(int)
+    assert picture[2, 3, 0] < picture[2, 1, 0] < 255
+    assert picture[2, 3, 0] < picture[2, 5, 0] < 255
+
+
+def test_no_events_are_white_and_the_map_is_followed() -> None:
+    assert (draw_events(events_at([], [], []), (8, 16), PixelMap.identity()) == 255).all()
+    half = PixelMap(0.5, -0.25, 0.5, -0.25)
+    picture = draw_events(events_at([10.5], [4.5], [True]), (4, 8), half)
+    assert [axis.tolist() for axis in np.nonzero((picture < 255).any(-1))] == [[2], [5]]

@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 
 from uncal.data.datamodule import CalibrationDataModule
 from uncal.data.dataset import Sample, collate
+from uncal.data.image_size import fit
 from uncal.decalibration import correct
 from uncal.models.module import CalibrationModule
-from uncal.reporting.overlay import overlay_panel
+from uncal.reporting.overlay import draw_events, overlay_panel
 from uncal.reporting.rows import summarise
 
 WIDTH_PX = 1000
@@ -73,7 +74,7 @@ class Overlays(lightning.Callback):
             f"estimated: off by {after}": T_estimated.numpy(),
             f"true extrinsic ({self.label}, rig {sample.frame.rig})": T_true.numpy(),
         }
-        image = np.ascontiguousarray(sample.image.numpy().transpose(1, 2, 0))
+        image = background(data, sample)
         scale = max(1, round(WIDTH_PX / image.shape[1]))
         return overlay_panel(
             image, sample.points.numpy(), sample.K.double().numpy(), extrinsics, scale
@@ -88,3 +89,20 @@ class Overlays(lightning.Callback):
                 logger.experiment.add_image(
                     f"overlay/{frame}", picture, trainer.global_step, dataformats="HWC"
                 )
+
+
+def background(data: CalibrationDataModule, sample: Sample) -> NDArray[np.uint8]:
+    """What to draw points on: the image, or the events however the network is shown them.
+
+    Args:
+        data: where the sample comes from.
+        sample: one of its samples.
+
+    Returns:
+        (H, W, 3) uint8 RGB, of the network's size.
+    """
+    if sample.camera.dtype == torch.uint8:
+        return np.ascontiguousarray(sample.camera.numpy().transpose(1, 2, 0))
+    events = data.recording.load(sample.frame).events
+    assert events is not None
+    return draw_events(events, data.image_size, fit(events.size, data.image_size).pixel_map)

@@ -95,6 +95,8 @@ def run_notes(module: CalibrationModule, data: CalibrationDataModule) -> list[st
         f"{'fresh' if module.masks is None else 'fixed'} masks, intervals of kind "
         f"{module.calibrator.kind}, seed {data.seed}, uncal {__version__}.",
     ]
+    if data.split_note:
+        notes.append(data.split_note)
     rigs = {frame.rig for frame in data.splits["test"]}
     if data.split_by != "frame":
         notes.append(

@@ -11,7 +11,7 @@ from uncal.data.dataset import Batch
 
 
 def mirror(batch: Batch, which: Tensor) -> Batch:
-    """Mirror scenes left-right: image, camera matrix, sweep and extrinsic together.
+    """Mirror scenes left-right: image or events, camera matrix, sweep and extrinsic together.
 
     With M the reflection of the camera's x axis and L of the LiDAR's y axis, the mirrored rig has
     ``T' = M · T · L``, again a rigid transform, and sees the mirrored scene exactly as the true
@@ -24,8 +24,8 @@ def mirror(batch: Batch, which: Tensor) -> Batch:
     Returns:
         The batch, mirrored where asked.
     """
-    width = batch.image.shape[-1]
-    image = torch.where(which[:, None, None, None], batch.image.flip(-1), batch.image)
+    width = batch.camera.shape[-1]
+    camera = torch.where(which[:, None, None, None], batch.camera.flip(-1), batch.camera)
     K = batch.K.clone()
     K[:, 0, 2] = torch.where(which, width - 1 - K[:, 0, 2], K[:, 0, 2])
     sign = torch.where(which, -1.0, 1.0)
@@ -34,7 +34,7 @@ def mirror(batch: Batch, which: Tensor) -> Batch:
     T = batch.T_cam_lidar.clone()
     T[:, 0, :] *= sign[:, None]
     T[:, :, 1] *= sign[:, None]
-    return batch._replace(image=image, K=K, points=points, T_cam_lidar=T)
+    return batch._replace(camera=camera, K=K, points=points, T_cam_lidar=T)
 
 
 @dataclass(frozen=True)
@@ -43,8 +43,8 @@ class Augmentation:
 
     Attributes:
         mirror: probability of mirroring a sample left-right.
-        brightness: exposure varies by a factor within 1 ± this.
-        contrast: contrast about the image's mean varies by a factor within 1 ± this.
+        brightness: exposure of images varies by a factor within 1 ± this.
+        contrast: contrast about an image's mean varies by a factor within 1 ± this.
     """
 
     mirror: float
@@ -60,15 +60,16 @@ class Augmentation:
         Returns:
             The augmented batch.
         """
-        n, device = len(batch.frames), batch.image.device
+        n, device = len(batch.frames), batch.camera.device
         if self.mirror > 0:
             batch = mirror(batch, torch.rand(n, device=device) < self.mirror)
-        if self.brightness > 0 or self.contrast > 0:
+        is_image = batch.camera.dtype == torch.uint8
+        if is_image and (self.brightness > 0 or self.contrast > 0):
             low = 1.0 - torch.tensor([self.brightness, self.contrast], device=device)
             factor = low + (1.0 - low) * 2.0 * torch.rand(n, 2, device=device)
             gain, contrast = factor[:, 0, None, None, None], factor[:, 1, None, None, None]
-            image = batch.image.float()
+            image = batch.camera.float()
             mean = image.mean((1, 2, 3), keepdim=True)
             image = ((image - mean) * contrast + mean) * gain
-            batch = batch._replace(image=image.clamp(0.0, 255.0).to(torch.uint8))
+            batch = batch._replace(camera=image.clamp(0.0, 255.0).to(torch.uint8))
         return batch

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import lightning
@@ -14,6 +14,7 @@ from torch.utils.data import DataLoader, Dataset, Subset
 from uncal.data.augmentation import Augmentation
 from uncal.data.dataset import Batch, FrameDataset, Sample, SkippedFrame, collate
 from uncal.data.network_input import InputSettings, NetworkInput, make_input
+from uncal.data.sequence_split import FrameSplit, OfficialSettings, split_officially
 from uncal.data.splits import SPLITS, split_frames
 from uncal.decalibration import DecalibrationRange
 from uncal.errors import RecordingError
@@ -27,14 +28,32 @@ class SplitSettings:
     """How frames are shared out.
 
     Attributes:
-        by: ``frame``, ``drive`` or ``rig``: what is never torn apart.
+        by: ``frame``, ``drive`` or ``rig``: what is never torn apart; or ``official``.
         fractions: of the frames, in the order of :data:`uncal.data.splits.SPLITS`.
         seed: of the shuffle.
+        official: how ``official`` shares frames out.
     """
 
     by: str
     fractions: tuple[float, float, float, float]
     seed: int
+    official: OfficialSettings | None = None
+
+    def split(self, frame_ids: Sequence[FrameId]) -> FrameSplit:
+        """Share frames out.
+
+        Args:
+            frame_ids: all of them.
+
+        Returns:
+            The split.
+
+        Raises:
+            ConfigurationError: a setting is out of range or does not fit these frames.
+        """
+        if self.by == "official" and self.official is not None:
+            return split_officially(frame_ids, self.official, self.seed)
+        return FrameSplit(split_frames(frame_ids, self.by, self.fractions, self.seed), "")
 
 
 @dataclass(frozen=True)
@@ -70,6 +89,10 @@ class CalibrationDataModule(lightning.LightningDataModule):
         inputs: channels and scales of the network's input.
         augmentation: applied to training batches.
         seed: of the fixed draws in the evaluation splits.
+
+    Attributes:
+        splits: split → its frames.
+        split_note: what a reader must know of the split; empty where its name says it all.
     """
 
     def __init__(
@@ -94,9 +117,7 @@ class CalibrationDataModule(lightning.LightningDataModule):
         self.split_by = split.by
         if not recording.frame_ids:
             raise RecordingError("the recording holds no usable frame: see the skipped ones above")
-        self.splits: Mapping[str, list[FrameId]] = split_frames(
-            recording.frame_ids, split.by, split.fractions, split.seed
-        )
+        self.splits, self.split_note = split.split(recording.frame_ids)
         self.datasets = {name: self._dataset(name) for name in SPLITS}
         self.skipped: dict[str, str] = dict(recording.skipped)
 
@@ -108,6 +129,7 @@ class CalibrationDataModule(lightning.LightningDataModule):
             self.decalibration,
             None if split == "train" else self.seed,
             self.loader.cache,
+            self.inputs.events,
         )
 
     def loader_of(
@@ -186,5 +208,5 @@ class CalibrationDataModule(lightning.LightningDataModule):
         decalibration = batch.decalibration
         if decalibration is None:
             batch = self.augmentation(batch)
-            decalibration = self.decalibration.draw(len(batch.frames), batch.image.device)
+            decalibration = self.decalibration.draw(len(batch.frames), batch.camera.device)
         return make_input(batch, decalibration, self.inputs)

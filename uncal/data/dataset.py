@@ -7,14 +7,18 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 from torch.utils.data import Dataset
 
 from uncal.data.culling import frustum_mask
-from uncal.data.image_size import resize_and_crop
+from uncal.data.image_size import fit, resize_and_crop
 from uncal.decalibration import DecalibrationRange
 from uncal.errors import FrameError
-from uncal.recordings.frame import FrameId, Recording
+from uncal.events.representations import EventRepresentation
+from uncal.recordings.frame import Frame, FrameId, Recording
+
+_LARGEST = torch.finfo(torch.float16).max
 
 
 class Sample(NamedTuple):
@@ -23,16 +27,16 @@ class Sample(NamedTuple):
     Attributes:
         place: its number in the split.
         frame: its name.
-        image: (3, H, W) uint8 RGB.
+        camera: (3, H, W) uint8 RGB, or (C, H, W) float16 events as their representation draws them.
         points: (n, 4) float32 culled sweep, LiDAR frame, metres and reflectance.
-        K: (3, 3) float32 camera matrix of the resized image.
+        K: (3, 3) float32 camera matrix at this size.
         T_cam_lidar: (4, 4) float32 true extrinsic.
         decalibration: (6,) fixed draw of the evaluation splits, or None where training draws anew.
     """
 
     place: int
     frame: FrameId
-    image: Tensor
+    camera: Tensor
     points: Tensor
     K: Tensor
     T_cam_lidar: Tensor
@@ -52,7 +56,7 @@ class Batch(NamedTuple):
     Attributes:
         place: (B,) int64 numbers of the frames in their split.
         frames: the B frames.
-        image: (B, 3, H, W) uint8 RGB.
+        camera: (B, 3, H, W) uint8 RGB, or (B, C, H, W) float16 events.
         points: (B, N, 4) float32, LiDAR frame.
         K: (B, 3, 3) float32.
         T_cam_lidar: (B, 4, 4) float32 true extrinsics.
@@ -62,7 +66,7 @@ class Batch(NamedTuple):
 
     place: Tensor
     frames: list[FrameId]
-    image: Tensor
+    camera: Tensor
     points: Tensor
     K: Tensor
     T_cam_lidar: Tensor
@@ -89,7 +93,7 @@ class Batch(NamedTuple):
         fixed = self.decalibration
         return self._replace(
             place=function(self.place),
-            image=function(self.image),
+            camera=function(self.camera),
             points=function(self.points),
             K=function(self.K),
             T_cam_lidar=function(self.T_cam_lidar),
@@ -98,7 +102,7 @@ class Batch(NamedTuple):
 
 
 class FrameDataset(Dataset["Sample | SkippedFrame"]):
-    """Loads, resizes and culls the frames of one split.
+    """Loads the frames of one split, at the network's size and culled.
 
     Points that no decalibration within the range can bring into the image are left out here, so
     that they are neither copied nor projected; see :mod:`uncal.data.culling`.
@@ -111,6 +115,7 @@ class FrameDataset(Dataset["Sample | SkippedFrame"]):
         fixed_seed: evaluation splits: the decalibration is a pure function of it and the frame's
             name; None: training, which draws per step on the device.
         cache: keep samples in memory after their first use.
+        events: draws the events of an event camera; None where no channel shows them.
     """
 
     def __init__(
@@ -121,12 +126,14 @@ class FrameDataset(Dataset["Sample | SkippedFrame"]):
         decalibration: DecalibrationRange,
         fixed_seed: int | None,
         cache: bool,
+        events: EventRepresentation | None = None,
     ) -> None:
         self.recording = recording
         self.frame_ids = list(frame_ids)
         self.image_size = image_size
         self.decalibration = decalibration
         self.fixed_seed = fixed_seed
+        self.events = events
         self._cache: dict[int, Sample | SkippedFrame] | None = {} if cache else None
 
     def __len__(self) -> int:
@@ -145,11 +152,9 @@ class FrameDataset(Dataset["Sample | SkippedFrame"]):
         frame_id = self.frame_ids[index]
         try:
             frame = self.recording.load(frame_id)
+            camera, K = self._camera(frame)
         except FrameError as error:
             return SkippedFrame(frame_id, str(error))
-        if frame.image is None:
-            return SkippedFrame(frame_id, "the frame has no image")
-        image, K = resize_and_crop(frame.image, frame.K, self.image_size)
         near = frustum_mask(
             frame.points[:, :3],
             frame.T_cam_lidar,
@@ -164,12 +169,27 @@ class FrameDataset(Dataset["Sample | SkippedFrame"]):
         return Sample(
             place=index,
             frame=frame_id,
-            image=torch.from_numpy(np.ascontiguousarray(image.transpose(2, 0, 1))),
+            camera=camera,
             points=torch.from_numpy(frame.points[near]),
             K=torch.from_numpy(K.astype(np.float32)),
             T_cam_lidar=torch.from_numpy(frame.T_cam_lidar.astype(np.float32)),
             decalibration=fixed,
         )
+
+    def _camera(self, frame: Frame) -> tuple[Tensor, NDArray[np.float64]]:
+        """The camera's tensor at the network's size, and the camera matrix that goes with it."""
+        if frame.image is not None:
+            image, K = resize_and_crop(frame.image, frame.K, self.image_size)
+            return torch.from_numpy(np.ascontiguousarray(image.transpose(2, 0, 1))), K
+        if frame.events is None:
+            raise FrameError("the frame has neither an image nor events")
+        how = fit(frame.events.size, self.image_size)
+        K = how.camera_matrix(frame.K)
+        if self.events is None:
+            return torch.empty(0, *self.image_size, dtype=torch.float16), K
+        drawn = self.events(frame.events, self.image_size, how.pixel_map)
+        # Half precision, or the cached demo would take gigabytes; counts beyond it stay finite.
+        return drawn.clamp(-_LARGEST, _LARGEST).half(), K
 
 
 def collate(items: Sequence[Sample | SkippedFrame]) -> Batch:
@@ -194,7 +214,7 @@ def collate(items: Sequence[Sample | SkippedFrame]) -> Batch:
     return Batch(
         place=torch.tensor([sample.place for sample in samples]),
         frames=[sample.frame for sample in samples],
-        image=torch.stack([sample.image for sample in samples]),
+        camera=torch.stack([sample.camera for sample in samples]),
         points=points,
         K=torch.stack([sample.K for sample in samples]),
         T_cam_lidar=torch.stack([sample.T_cam_lidar for sample in samples]),

@@ -1,12 +1,82 @@
-"""Resizing and cropping of images, with the camera matrix that goes with the result."""
+"""Resizing and cropping of images and events, with the camera matrix that goes with the result."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from uncal.errors import ConfigurationError
+from uncal.events.pixel_map import PixelMap
+
+
+@dataclass(frozen=True)
+class Fit:
+    """How a sensor's image comes to the network's size: resized, then cropped.
+
+    Attributes:
+        source: (h, w) of the sensor's image, pixels.
+        resized: (h, w) after resizing.
+        top: rows cropped above.
+        left: columns cropped on the left.
+    """
+
+    source: tuple[int, int]
+    resized: tuple[int, int]
+    top: int
+    left: int
+
+    @property
+    def pixel_map(self) -> PixelMap:
+        """The same for coordinates; a scale s maps column u to s·(u + ½) - ½ before the crop."""
+        # Rounding to whole pixels makes the two scales differ by a hair; each is followed exactly.
+        sy, sx = (after / before for after, before in zip(self.resized, self.source, strict=True))
+        return PixelMap(
+            sx=sx, ox=(sx - 1.0) / 2.0 - self.left, sy=sy, oy=(sy - 1.0) / 2.0 - self.top
+        )
+
+    def camera_matrix(self, K: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The camera matrix of the result.
+
+        Args:
+            K: (3, 3) that of the sensor's image, pixels.
+
+        Returns:
+            (3, 3), a new array.
+        """
+        to = self.pixel_map
+        K = K.copy()
+        K[0] *= to.sx
+        K[1] *= to.sy
+        K[0, 2] += to.ox
+        K[1, 2] += to.oy
+        return K
+
+
+def fit(source: tuple[int, int], size: tuple[int, int]) -> Fit:
+    """Scale, aspect kept, until ``size`` is covered; crop the rest evenly on both sides.
+
+    Args:
+        source: (h, w) of the sensor's image, pixels.
+        size: (H, W) wanted, pixels.
+
+    Returns:
+        How; whole pixels throughout.
+
+    Raises:
+        ConfigurationError: ``size`` is not positive.
+
+    >>> fit((375, 1242), (192, 640))
+    Fit(source=(375, 1242), resized=(193, 640), top=0, left=0)
+    """
+    (h, w), (height, width) = source, size
+    if height < 1 or width < 1:
+        raise ConfigurationError(f"dataset.image_size={list(size)}: expected two positive numbers")
+    scale = max(height / h, width / w)
+    resized = max(height, round(h * scale)), max(width, round(w * scale))
+    return Fit(source, resized, (resized[0] - height) // 2, (resized[1] - width) // 2)
 
 
 def resize_and_crop(
@@ -14,9 +84,7 @@ def resize_and_crop(
     K: NDArray[np.float64],
     size: tuple[int, int],
 ) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
-    """Scale an image, aspect kept, until it covers ``size``; crop the rest evenly on both sides.
-
-    Integer coordinates are pixel centres, so a scale s maps column u to s·(u + ½) - ½.
+    """Bring an image to the network's size; see :func:`fit`.
 
     Args:
         image: (h, w, 3) uint8.
@@ -34,23 +102,13 @@ def resize_and_crop(
     >>> half.shape, K_half[0].tolist(), K_half[1].tolist()
     ((20, 40, 3), [50.0, 0.0, 19.5], [0.0, 50.0, 9.5])
     """
-    height, width = size
-    if height < 1 or width < 1:
-        raise ConfigurationError(f"dataset.image_size={list(size)}: expected two positive numbers")
-    h, w = image.shape[:2]
-    K = K.copy()
-    if (h, w) == (height, width):
+    how = fit((image.shape[0], image.shape[1]), size)
+    K = how.camera_matrix(K)
+    if how.source == size:
         return image, K
-    scale = max(height / h, width / w)
-    new_h, new_w = max(height, round(h * scale)), max(width, round(w * scale))
-    # Rounding to whole pixels makes the two scales differ by a hair; K follows each exactly.
-    sx, sy = new_w / w, new_h / h
-    method = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_LINEAR
-    resized = cv2.resize(image, (new_w, new_h), interpolation=method)
-    top, left = (new_h - height) // 2, (new_w - width) // 2
-    K[0] *= sx
-    K[1] *= sy
-    K[0, 2] += (sx - 1.0) / 2.0 - left
-    K[1, 2] += (sy - 1.0) / 2.0 - top
-    cropped = resized[top : top + height, left : left + width]
+    (h, w), (height, width) = how.resized, size
+    smaller = h * w < how.source[0] * how.source[1]
+    method = cv2.INTER_AREA if smaller else cv2.INTER_LINEAR
+    resized = cv2.resize(image, (w, h), interpolation=method)
+    cropped = resized[how.top : how.top + height, how.left : how.left + width]
     return np.ascontiguousarray(cropped, dtype=np.uint8), K

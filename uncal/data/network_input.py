@@ -12,11 +12,15 @@ from torch import Tensor
 from uncal.data.dataset import Batch
 from uncal.decalibration import decalibrate
 from uncal.errors import ConfigurationError
+from uncal.events.representations import EventRepresentation
 from uncal.projection import project
 from uncal.recordings.frame import FrameId
 
-CHANNELS: dict[str, int] = {"rgb": 3, "inverse_depth": 1, "intensity": 1}
-"""The inputs that a model can ask for, and how many channels each has."""
+CAMERAS: tuple[str, ...] = ("rgb", "events")
+"""What a camera may give; a recording offers one of them."""
+
+CHANNELS: tuple[str, ...] = (*CAMERAS, "inverse_depth", "intensity")
+"""The inputs that a model can ask for."""
 
 
 class NetworkInput(NamedTuple):
@@ -41,41 +45,63 @@ class NetworkInput(NamedTuple):
     frames: list[FrameId]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class InputSettings:
-    """How the channels are scaled, so that each is of order one.
+    """What a network reads, and how it is scaled, so that each channel is of order one.
 
     Attributes:
         channels: names out of :data:`CHANNELS`, in the order of the network's input.
-        rgb_mean: subtracted from RGB in 0..1.
-        rgb_std: divides RGB after that.
         inverse_depth_scale: metres; multiplies inverse depth.
         intensity_scale: multiplies reflectance.
+        camera_channels: how many channels the camera has: 3, or as many as ``events`` draws.
+        rgb_mean: subtracted from RGB in 0..1.
+        rgb_std: divides RGB after that.
+        events: draws the events; None for a network that reads none.
+        events_scale: multiplies what it draws.
     """
 
     channels: Sequence[str]
-    rgb_mean: float
-    rgb_std: float
     inverse_depth_scale: float
     intensity_scale: float
+    camera_channels: int = 3
+    rgb_mean: float = 0.0
+    rgb_std: float = 1.0
+    events: EventRepresentation | None = None
+    events_scale: float = 1.0
 
     def __post_init__(self) -> None:
-        """Check the channel names.
+        """Check the channels.
 
         Raises:
-            ConfigurationError: a channel is unknown or none is asked for.
+            ConfigurationError: a channel is unknown, none is asked for, or they contradict the
+                other settings.
         """
+        asked = f"model.inputs.channels={list(self.channels)}"
         unknown = [name for name in self.channels if name not in CHANNELS]
         if unknown or not self.channels:
+            raise ConfigurationError(f"{asked}: expected names out of {list(CHANNELS)}")
+        if {*CAMERAS} <= {*self.channels}:
+            raise ConfigurationError(f"{asked}: a frame has rgb or events, never both")
+        if self.camera == "events" and self.events is None:
             raise ConfigurationError(
-                f"model.inputs.channels={list(self.channels)}: expected names out of "
-                f"{list(CHANNELS)}"
+                f"{asked}: model.inputs.events is missing; choose model/inputs=events_lidar"
             )
+        wanted = 3 if self.camera == "rgb" else self.events.channels if self.events else None
+        if wanted not in (None, self.camera_channels):
+            raise ConfigurationError(
+                f"model.inputs.camera_channels={self.camera_channels}: expected {wanted}, as many "
+                f"as {self.camera} has"
+            )
+
+    @property
+    def camera(self) -> str | None:
+        """Which of :data:`CAMERAS` the network reads; None for one that is blind."""
+        return next((name for name in self.channels if name in CAMERAS), None)
 
     @property
     def n_channels(self) -> int:
         """C of the network's input."""
-        return sum(CHANNELS[name] for name in self.channels)
+        return sum(self.camera_channels if name in CAMERAS else 1 for name in self.channels)
 
 
 def make_input(batch: Batch, decalibration: Tensor, settings: InputSettings) -> NetworkInput:
@@ -88,14 +114,17 @@ def make_input(batch: Batch, decalibration: Tensor, settings: InputSettings) -> 
 
     Returns:
         The network's input and target.
+
+    Raises:
+        ConfigurationError: the network reads rgb and the batch holds events, or the reverse.
     """
     T_init = decalibrate(batch.T_cam_lidar, decalibration)
-    size = (batch.image.shape[-2], batch.image.shape[-1])
+    size = (batch.camera.shape[-2], batch.camera.shape[-1])
     projection = project(batch.points, T_init, batch.K, size)
     parts = []
     for name in settings.channels:
-        if name == "rgb":
-            parts.append((batch.image.float() / 255.0 - settings.rgb_mean) / settings.rgb_std)
+        if name in CAMERAS:
+            parts.append(_camera(batch.camera, settings))
         elif name == "inverse_depth":
             parts.append(projection.inverse_depth * settings.inverse_depth_scale)
         else:
@@ -104,3 +133,15 @@ def make_input(batch: Batch, decalibration: Tensor, settings: InputSettings) -> 
     return NetworkInput(
         x, projection.inverse_depth, batch.K, T_init, decalibration, batch.place, batch.frames
     )
+
+
+def _camera(camera: Tensor, settings: InputSettings) -> Tensor:
+    """(B, C, H, W) float32 channels of the camera."""
+    held = "rgb" if camera.dtype == torch.uint8 else "events"
+    if settings.camera != held:
+        raise ConfigurationError(
+            f"the model reads {settings.camera}, but the recording's frames hold {held}"
+        )
+    if held == "events":
+        return camera.float() * settings.events_scale
+    return (camera.float() / 255.0 - settings.rgb_mean) / settings.rgb_std

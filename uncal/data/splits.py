@@ -91,7 +91,9 @@ def _units(frame_ids: Iterable[FrameId], by: str) -> dict[str, list[FrameId]]:
 
 def _check(by: str, fractions: Sequence[float]) -> None:
     if by not in UNITS:
-        raise ConfigurationError(f"split.by is '{by}', expected one of {', '.join(UNITS)}.")
+        raise ConfigurationError(
+            f"split.by is '{by}', expected one of {', '.join(UNITS)}, or official for DSEC."
+        )
     if len(fractions) != len(SPLITS):
         raise ConfigurationError(
             f"split.fractions has {len(fractions)} numbers {list(fractions)}, "

@@ -1,4 +1,4 @@
-"""Where image edges and LiDAR edges agree, for every small displacement: a fixed front end.
+"""Where edges of the camera and the LiDAR agree, for every small displacement: a fixed front end.
 
 Convolutions add their inputs, but a displacement is found by multiplying them. Handing the network
 the local correlation of edges, which needs no learning, spares it from learning to multiply.
@@ -18,6 +18,9 @@ PAIRS = 5
 CONTRAST_WINDOW = 15
 """Side of the window over which edge strength is normalised, cells."""
 
+IMAGE_EDGES: tuple[str, ...] = ("mean", "density", "channels")
+"""What the image's edges are the gradients of; see :meth:`EdgeCorrelation.edges`."""
+
 STRONGEST_EDGE = 4.0
 """Edges count at most this many times the strength that is usual around them."""
 
@@ -31,19 +34,25 @@ class EdgeCorrelation(nn.Module):
         image_channels: the first channels of the input are the image's; then come inverse depth
             and intensity.
         radius: largest shift, in cells of 2 pixels; must reach the usual displacements.
+        image_edges: one of :data:`IMAGE_EDGES`.
     """
 
     STRIDE = 8
 
-    def __init__(self, image_channels: int, radius: int) -> None:
+    def __init__(self, image_channels: int, radius: int, image_edges: str = "mean") -> None:
         super().__init__()
         if image_channels < 1 or radius < 1:
             raise ConfigurationError(
                 f"model.backbone: image_channels={image_channels}, radius={radius}: "
                 "both must be at least 1"
             )
+        if image_edges not in IMAGE_EDGES:
+            raise ConfigurationError(
+                f"model.image_edges={image_edges}: expected {' or '.join(IMAGE_EDGES)}"
+            )
         self.image_channels = image_channels
         self.radius = radius
+        self.image_edges = image_edges
 
     @property
     def out_channels(self) -> int:
@@ -53,9 +62,14 @@ class EdgeCorrelation(nn.Module):
     def edges(self, x: Tensor) -> tuple[Tensor, Tensor]:
         """Edge maps of both sensors, pair by pair, on cells of 2 pixels.
 
-        The pairs: image gradient across columns with depth jumps across columns; the same across
-        rows; image gradient across columns with the outline of what returns nothing (the sky);
-        image gradients with intensity gradients across columns, and across rows.
+        The pairs: image edges across columns with depth jumps across columns; the same across
+        rows; image edges across columns with the outline of what returns nothing (the sky);
+        image edges with intensity gradients across columns, and across rows.
+
+        The image's edges are the gradients of its channels' ``mean`` (right for RGB), of the mean
+        of their magnitudes (``density``: where events are, whatever their sign and time), or the
+        root mean square of each of its ``channels``' own (events of another sign or time do not
+        cancel).
 
         Args:
             x: (B, C, H, W) network input.
@@ -65,7 +79,9 @@ class EdgeCorrelation(nn.Module):
         """
         n = self.image_channels
         x = x.float()
-        across, along = _gradients(F.avg_pool2d(x[:, :n].mean(1, keepdim=True), 2))
+        across, along = _gradients(F.avg_pool2d(self._shown(x[:, :n]), 2))
+        if self.image_edges == "channels":
+            across, along = (g.square().mean(1, keepdim=True).sqrt() for g in (across, along))
         usual = _usual(across + along)
         across, along = across / usual, along / usual
 
@@ -90,6 +106,12 @@ class EdgeCorrelation(nn.Module):
             [jump_across, jump_along, outline, bright_across / usual, bright_along / usual], 1
         )
         return image.clamp(max=STRONGEST_EDGE), lidar.clamp(max=STRONGEST_EDGE)
+
+    def _shown(self, image: Tensor) -> Tensor:
+        """(B, 1 or n, H, W) what the gradients are taken of."""
+        if self.image_edges == "channels":
+            return image
+        return (image.abs() if self.image_edges == "density" else image).mean(1, keepdim=True)
 
     @torch.no_grad()
     def forward(self, x: Tensor) -> Tensor:

@@ -86,6 +86,7 @@ class EdgeFront(nn.Module):
         radius: of the edge correlation, cells of 2 pixels.
         stem_channels: of the convolutions, each with stride 2.
         out_channels: of the fused map.
+        image_edges: what the correlation takes for an edge of the image.
     """
 
     def __init__(
@@ -95,9 +96,10 @@ class EdgeFront(nn.Module):
         radius: int,
         stem_channels: Sequence[int],
         out_channels: int,
+        image_edges: str,
     ) -> None:
         super().__init__()
-        self.correlation = EdgeCorrelation(image_channels, radius)
+        self.correlation = EdgeCorrelation(image_channels, radius, image_edges)
         self.stem = nn.Sequential(
             *(
                 convolution(before, after, stride=2)
@@ -127,6 +129,8 @@ class CorrelationMobileViT(nn.Module):
         layers: transformer layers in each of those stages.
         expand_ratio: of the inverted residual block that opens each stage.
         dropout: rate in the transformer layers.
+        image_edges: ``mean`` suits images, ``channels`` events; see
+            :meth:`~uncal.models.correlation.EdgeCorrelation.edges`.
     """
 
     def __init__(
@@ -140,6 +144,7 @@ class CorrelationMobileViT(nn.Module):
         layers: Sequence[int],
         expand_ratio: float,
         dropout: float,
+        image_edges: str = "mean",
     ) -> None:
         super().__init__()
         if not len(channels) - 1 == len(hidden_sizes) == len(layers) or len(stem_channels) != 3:
@@ -151,10 +156,12 @@ class CorrelationMobileViT(nn.Module):
         if in_channels != image_channels + 2:
             raise ConfigurationError(
                 f"model.inputs gives {in_channels} channels; the correlation backbone expects "
-                f"{image_channels} of the image, then inverse_depth and intensity. Choose another "
+                f"{image_channels} of the camera, then inverse_depth and intensity. Choose another "
                 "with model/backbone=mobilevit_xxs"
             )
-        self.front = EdgeFront(in_channels, image_channels, radius, stem_channels, channels[0])
+        self.front = EdgeFront(
+            in_channels, image_channels, radius, stem_channels, channels[0], image_edges
+        )
         config = MobileViTConfig(hidden_dropout_prob=dropout, expand_ratio=float(expand_ratio))
         self.stages = nn.ModuleList(
             MobileViTLayer(

@@ -1,4 +1,4 @@
-"""Pictures of LiDAR points on the image, one row per extrinsic."""
+"""Pictures of LiDAR points on the image or on events, one row per extrinsic."""
 
 from __future__ import annotations
 
@@ -8,9 +8,46 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from uncal.events.pixel_map import PixelMap
+from uncal.events.representations import Histogram
+from uncal.events.stream import Events
+
 NEAR_M = 4.0
 FAR_M = 60.0
 TEXT_PX = 18
+
+BRIGHTER_RGB, DARKER_RGB = (0, 114, 178), (213, 94, 0)
+"""Blue and vermilion, which the colour-blind tell apart (Okabe and Ito)."""
+
+STRONGEST = 0.6
+"""Share of an event's colour in a pixel full of events; more would drown the points."""
+
+
+def draw_events(events: Events, size: tuple[int, int], pixel_map: PixelMap) -> NDArray[np.uint8]:
+    """The events of a window, summed over time: blue got brighter, orange darker, white nothing.
+
+    Args:
+        events: the window.
+        size: (H, W) of the picture, pixels.
+        pixel_map: from the events' coordinates to the picture's.
+
+    Returns:
+        (H, W, 3) uint8 RGB.
+
+    >>> one = np.ones(1, np.float32)
+    >>> events = Events(one, 0 * one, np.array([7]), np.array([False]), (0, 10), (1, 2))
+    >>> draw_events(events, (1, 2), PixelMap.identity()).tolist()
+    [[[255, 255, 255], [230, 158, 102]]]
+    """
+    darker, brighter = Histogram(normalize=False)(events, size, pixel_map).numpy()
+    total = darker + brighter
+    # A few pixels of a lamp or a leaf have most of the events.
+    full = np.quantile(total[total > 0], 0.9) if len(events) and total.any() else 1.0
+    strength = STRONGEST * np.minimum(total / full, 1.0)[..., None]
+    share = (brighter / np.maximum(total, 1.0))[..., None]
+    colour = share * np.array(BRIGHTER_RGB) + (1.0 - share) * np.array(DARKER_RGB)
+    picture = strength * colour + (1.0 - strength) * 255.0
+    return np.asarray(picture.round(), dtype=np.uint8)
 
 
 def draw_points(
