@@ -102,10 +102,14 @@ def _draw(path: Path, rows: Sequence[TradeRow], label: str) -> None:
         for panel, (name, unit, colour) in zip(panels, kinds, strict=True):
             values = [r.is_translation if unit == "cm" else r.is_rotation for r in shown]
             panel.plot([r.ratio for r in shown], values, "o-", color=colour)
-            for row, value in zip(shown, values, strict=True):
-                text = f"{row.dropout}\nPICP {row.picp:.1f} %"
+            for number, (row, value) in enumerate(zip(shown, values, strict=True)):
                 panel.annotate(
-                    text, (row.ratio, value), xytext=(6, 4), textcoords="offset points", size=8
+                    f"{row.dropout}\nPICP {row.picp:.1f} %",
+                    (row.ratio, value),
+                    # Above and below in turn: neighbours can lie close together.
+                    xytext=(6, -20 if number % 2 else 6),
+                    textcoords="offset points",
+                    size=8,
                 )
             panel.margins(x=0.35, y=0.25)
             panel.set_xlabel("time of the passes / one deterministic pass")
