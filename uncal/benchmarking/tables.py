@@ -13,6 +13,7 @@ from uncal.benchmarking.latency import LatencyRow
 from uncal.benchmarking.trade import TradeRow
 from uncal.reporting.layout import csv_text, write_whole
 
+MARKERS = "osD^vP"
 BLUE, ORANGE = "#0072B2", "#D55E00"
 """Of the colour-blind safe palette by Okabe and Ito."""
 
@@ -101,17 +102,12 @@ def _draw(path: Path, rows: Sequence[TradeRow], label: str) -> None:
         kinds = (("X, Y, Z", "cm", BLUE), ("roll, pitch, yaw", "°", ORANGE))
         for panel, (name, unit, colour) in zip(panels, kinds, strict=True):
             values = [r.is_translation if unit == "cm" else r.is_rotation for r in shown]
-            panel.plot([r.ratio for r in shown], values, "o-", color=colour)
-            for number, (row, value) in enumerate(zip(shown, values, strict=True)):
-                panel.annotate(
-                    f"{row.dropout}\nPICP {row.picp:.1f} %",
-                    (row.ratio, value),
-                    # Above and below in turn: neighbours can lie close together.
-                    xytext=(6, -20 if number % 2 else 6),
-                    textcoords="offset points",
-                    size=8,
-                )
-            panel.margins(x=0.35, y=0.25)
+            panel.plot([r.ratio for r in shown], values, "-", color=colour, alpha=0.5)
+            for row, value, marker in zip(shown, values, MARKERS, strict=False):
+                text = f"{row.dropout} (PICP {row.picp:.1f} %)"
+                panel.plot(row.ratio, value, marker, color=colour, markersize=8, label=text)
+            panel.margins(0.1)
+            panel.legend(title="dropout", fontsize=8, title_fontsize=8, frameon=False)
             panel.set_xlabel("time of the passes / one deterministic pass")
             panel.set_ylabel(f"IS at {level:g} %, mean of {name} ({unit})")
         figure.suptitle(f"Dropout in fewer layers ({label} data)")
