@@ -82,7 +82,7 @@ class _WithoutBoxes(ConformalCalibrator):
     def predict_joint(
         self, mean: Tensor, std: Tensor, *args: object, **kwargs: object
     ) -> Intervals:
-        raise NotImplementedError
+        raise NotCalibratedError("a state from before joint scores")
 
 
 def test_a_method_without_boxes() -> None:
