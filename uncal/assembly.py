@@ -30,7 +30,7 @@ from uncal.uncertainty.mc_dropout import MCDropout
 
 log = logging.getLogger(__name__)
 
-MCD_KEYS = ("passes", "strategy", "chunk", "masks", "layers", "insert")
+MCD_KEYS = ("passes", "strategy", "chunk", "masks", "layers", "insert", "seed")
 INTERVAL_KEYS = ("levels", "sigma_floor", "groups", "quantile_levels", "calibrator")
 
 MODELS = {"rgb": "unical", "events": "muliev"}
@@ -140,7 +140,7 @@ def build_module(config: DictConfig) -> CalibrationModule:
         fixed_masks=choice("mcd.masks", config.mcd.masks, ("random", "fixed")) == "fixed",
         calibrator=_calibrator(config, decalibration),
         groups=choice("interval.groups", config.interval.groups, ("rig", "drive")),
-        seed=config.seed,
+        mask_seed=config.mcd.seed,
     )
     module.recipe = cast(
         "dict[str, object]",

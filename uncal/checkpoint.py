@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import cast
 
@@ -30,6 +31,19 @@ def load_weights(module: CalibrationModule, path: Path, calibrated: bool) -> Non
     wrong = [key for key in (*missing, *unknown) if not key.startswith(("calibrator.", "masks."))]
     if wrong:
         raise ConfigurationError(f"ckpt={path}: {', '.join(wrong[:3])}: not of this network")
+
+
+def save_weights(module: CalibrationModule, path: Path) -> None:
+    """Write a checkpoint for :mod:`uncal.evaluate`: weights, calibrator and settings of this run.
+
+    Args:
+        module: trained and calibrated.
+        path: the checkpoint; its folder is made if it is not there.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(f".{path.name}.{os.getpid()}")
+    torch.save({"state_dict": module.state_dict(), "uncal_recipe": module.recipe}, partial)
+    partial.replace(path)
 
 
 def read_recipe(path: Path) -> DictConfig:

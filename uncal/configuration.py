@@ -86,6 +86,27 @@ def _ending(error: UncalError) -> BaseException:
     return SystemExit(str(error))
 
 
+def job_folder() -> Path:
+    """The output folder of the run that Hydra has started."""
+    return Path(HydraConfig.get().runtime.output_dir)
+
+
+def job_overrides() -> list[str]:
+    """What tells this run from the default one, as words of a command line."""
+    hydra = HydraConfig.get()
+    folders = [
+        source.path
+        for source in hydra.runtime.config_sources
+        if source.provider == "command-line" and source.schema == "file"
+    ]
+    return [*(part for path in folders for part in ("-cd", path)), *hydra.overrides.task]
+
+
+def in_multirun() -> bool:
+    """Whether this run is a job of a multirun."""
+    return bool(HydraConfig.get().mode == RunMode.MULTIRUN)
+
+
 def quiet_libraries() -> None:
     """Silence what a user cannot act on, and print warnings as the sentences they are."""
     warnings.formatwarning = lambda message, *_, **__: f"warning: {message}\n"

@@ -15,6 +15,9 @@ from uncal.callbacks.report import Report
 from uncal.checkpoint import load_weights, read_recipe
 from uncal.configuration import CONFIG_DIR, exits_on_error, quiet_libraries
 from uncal.memory import keep_freed_memory
+from uncal.runs import finished_earlier, keep_results, make_record, remember_passes
+from uncal.weights.digest import digest_of_file
+from uncal.weights.obtain import Weights
 
 log = logging.getLogger(__name__)
 
@@ -40,6 +43,7 @@ def main(config: DictConfig) -> float:
     if config.dataset.workers is not None:
         run.dataset.loader.workers = config.dataset.workers
     run = cast(DictConfig, run)
+    recipe.mcd.setdefault("seed", recipe.seed)  # checkpoints of version 0.1.0 have none
     asked = {key: value for key, value in config.mcd.items() if value is not None}
     run.mcd = OmegaConf.merge(recipe.mcd, asked)
     if config.get("interval") is None:
@@ -50,9 +54,22 @@ def main(config: DictConfig) -> float:
     lightning.seed_everything(run.seed, workers=True, verbose=False)
     data = build_data(run)
     module = build_module(run)
-    load_weights(module, Path(config.ckpt), calibrated=run.interval == recipe.interval)
     trainer = build_trainer(run)
+    weights = Weights(Path(config.ckpt), "", reused=True, trained=None)
+    record = make_record(
+        "uncal.evaluate", run, module, trainer, {"ckpt": digest_of_file(weights.path)}
+    )
+    earlier = finished_earlier(record, retrain=False)
+    if earlier is not None:
+        return earlier
+    record.begin()
+    same = run.interval == recipe.interval and run.mcd.seed == recipe.mcd.seed
+    load_weights(module, weights.path, calibrated=same)
+    module.provenance.append(weights.sentence())
+    remember_passes(run, data, module, trainer)
     trainer.test(module, datamodule=data, verbose=False)
+    if trainer.is_global_zero:
+        keep_results(record, trainer, module, weights)
     return Report.of(trainer).results.summary.mean_ratio
 
 

@@ -3,16 +3,26 @@
 from __future__ import annotations
 
 import logging
+from functools import partial
+from pathlib import Path
 
 import hydra
 import lightning
+from lightning.pytorch.callbacks import ModelCheckpoint
 from omegaconf import DictConfig
 
 from uncal.assembly import build_data, build_module, build_trainer
 from uncal.callbacks.report import Report
-from uncal.configuration import CONFIG_DIR, exits_on_error, quiet_libraries
+from uncal.checkpoint import load_weights, read_recipe, save_weights
+from uncal.configuration import CONFIG_DIR, exits_on_error, job_folder, quiet_libraries
+from uncal.data.datamodule import CalibrationDataModule
 from uncal.errors import UncalError
 from uncal.memory import keep_freed_memory
+from uncal.models.module import CalibrationModule
+from uncal.runs import finished_earlier, keep_results, make_record, remember_passes
+from uncal.weights.ingredients import training_ingredients
+from uncal.weights.obtain import Weights, obtain
+from uncal.weights.store import WeightStore
 
 log = logging.getLogger(__name__)
 
@@ -36,34 +46,102 @@ def main(config: DictConfig) -> float:
     module = build_module(config)
     trainer = build_trainer(config)
 
-    try:
-        trainer.fit(module, datamodule=data, ckpt_path=config.ckpt)
-    except SystemExit as stop:  # how Lightning passes Ctrl-C on
-        raise UncalError(
-            "interrupted; go on after the last finished epoch with python -m uncal.train ckpt="
-            f"{config.callbacks.checkpoint.dirpath}/last.ckpt and the same settings"
-        ) from stop
-    trainer.test(module, datamodule=data, ckpt_path=best_checkpoint(trainer), verbose=False)
+    ingredients = training_ingredients(config, data, module, trainer)
+    record = make_record("uncal.train", config, module, trainer, ingredients)
+    earlier = finished_earlier(record, config.retrain)
+    if earlier is not None:
+        return earlier
+    record.begin()
+
+    if config.ckpt is not None or config.store is None:
+        path = fit(trainer, module, data, config.ckpt)
+        weights = Weights(path, "", reused=False, trained=None)
+    else:
+        weights = obtain(
+            WeightStore(Path(config.store), ingredients),
+            partial(fit_or_resume, trainer, module, data),
+            run=job_folder(),
+            epochs=config.trainer.max_epochs,
+            last=last_checkpoint(trainer),
+            retrain=config.retrain,
+        )
+    load_weights(module, weights.path, calibrated=read_recipe(weights.path) == module.recipe)
+    module.provenance.append(weights.sentence())
+    remember_passes(config, data, module, trainer)
+
+    trainer.test(module, datamodule=data, verbose=False)
+    if trainer.is_global_zero:
+        own = job_folder() / "checkpoints" / weights.path.name
+        if not own.is_file() or not own.samefile(weights.path):
+            save_weights(module, own)
+        keep_results(record, trainer, module, weights)
     return Report.of(trainer).results.summary.mean_ratio
 
 
-def best_checkpoint(trainer: lightning.Trainer) -> str:
-    """Path of the checkpoint that validated best.
+def fit(
+    trainer: lightning.Trainer,
+    module: CalibrationModule,
+    data: CalibrationDataModule,
+    start: str | Path | None,
+) -> Path:
+    """Train, from nothing or from a checkpoint.
 
     Args:
-        trainer: after ``fit``.
+        trainer: with the callbacks that keep checkpoints.
+        module: the network.
+        data: the recordings.
+        start: a checkpoint to go on from.
 
     Returns:
-        The path.
+        The checkpoint that validated best.
 
     Raises:
-        UncalError: no checkpoint was written.
+        UncalError: interrupted, or no checkpoint was written.
     """
-    callback = trainer.checkpoint_callback
-    path = getattr(callback, "best_model_path", "")
+    try:
+        trainer.fit(module, datamodule=data, ckpt_path=start)
+    except SystemExit as stop:  # how Lightning passes Ctrl-C on
+        raise UncalError(
+            "interrupted; the same command goes on after the last finished epoch, which is in "
+            f"{last_checkpoint(trainer)}; retrain=true would start anew"
+        ) from stop
+    path = getattr(trainer.checkpoint_callback, "best_model_path", "")
     if not path:
         raise UncalError("no checkpoint was written: keep callbacks.checkpoint and a validation")
-    return str(path)
+    return Path(str(path))
+
+
+def fit_or_resume(
+    trainer: lightning.Trainer,
+    module: CalibrationModule,
+    data: CalibrationDataModule,
+    start: Path | None,
+) -> Path:
+    """Train, or go on with an interrupted training in the folder that has its checkpoints.
+
+    Args:
+        trainer: with the callbacks that keep checkpoints.
+        module: the network.
+        data: the recordings.
+        start: the last checkpoint of an interrupted training.
+
+    Returns:
+        The checkpoint that validated best, before or after the interruption.
+    """
+    if start is not None:
+        for callback in trainer.checkpoint_callbacks:
+            if isinstance(callback, ModelCheckpoint):
+                # Elsewhere Lightning would forget which checkpoint was best so far.
+                callback.dirpath = str(start.parent)
+    return fit(trainer, module, data, start)
+
+
+def last_checkpoint(trainer: lightning.Trainer) -> Path | None:
+    """Where a trainer keeps what it has after every epoch; None if it does not."""
+    for callback in trainer.checkpoint_callbacks:
+        if isinstance(callback, ModelCheckpoint) and callback.filename == "last":
+            return Path(str(callback.dirpath)) / "last.ckpt"
+    return None
 
 
 if __name__ == "__main__":

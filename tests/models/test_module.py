@@ -62,7 +62,7 @@ def module(network: nn.Module, fixed_masks: bool = False) -> CalibrationModule:
         fixed_masks=fixed_masks,
         calibrator=ConformalCalibrator(DOF_NAMES, 1e-9),
         groups="rig",
-        seed=0,
+        mask_seed=0,
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
+from typing import cast
 
 import lightning
 import torch
@@ -24,6 +25,10 @@ from uncal.uncertainty.calibrator import IntervalCalibrator
 from uncal.uncertainty.gather import gather_by_id
 from uncal.uncertainty.masks import FixedMasks
 from uncal.uncertainty.mc_dropout import MCDropout, Prediction
+from uncal.weights.pass_memory import PassMemory
+
+NOT_LEARNT = ("calibrator.", "masks.")
+"""Parts of the state that no training changes."""
 
 
 class CalibrationModule(lightning.LightningModule):
@@ -41,7 +46,7 @@ class CalibrationModule(lightning.LightningModule):
         fixed_masks: whether all frames meet the same dropout masks in evaluation.
         calibrator: turns means and spreads into intervals.
         groups: what frames of one group share: ``rig`` or ``drive``.
-        seed: of the dropout masks in evaluation.
+        mask_seed: of the dropout masks in evaluation.
     """
 
     def __init__(
@@ -57,7 +62,7 @@ class CalibrationModule(lightning.LightningModule):
         fixed_masks: bool,
         calibrator: IntervalCalibrator,
         groups: str,
-        seed: int,
+        mask_seed: int,
     ) -> None:
         super().__init__()
         self.estimator = PoseEstimator(network, decalibration.bounds, ridge)
@@ -65,11 +70,14 @@ class CalibrationModule(lightning.LightningModule):
         self.warmup_fraction = warmup_fraction
         self.displacement_weight = displacement_weight
         self.quantile_levels = quantile_levels
-        self.masks = FixedMasks(seed) if fixed_masks else None
+        self.masks = FixedMasks(mask_seed) if fixed_masks else None
         self.engine = engine(self.estimator, self.masks)
         self.calibrator = calibrator
         self.groups = groups
-        self.seed = seed
+        self.mask_seed = mask_seed
+        self.memory: PassMemory | None = None
+        self.provenance: list[str] = []
+        self._random: Tensor | None = None
         self.recipe: dict[str, object] = {}
         self.tested: SplitPrediction | None = None
         self._tested: list[SplitPrediction] = []
@@ -118,8 +126,26 @@ class CalibrationModule(lightning.LightningModule):
         Returns:
             Mean and σ, each (B, 6), metres and radians; (B, 18) with a quantile head.
         """
-        seeds = [frame_seed(self.seed, split, frame) for frame in batch.frames]
-        return self.engine(*batch[:4], seed=seeds)
+        seeds = [frame_seed(self.mask_seed, split, frame) for frame in batch.frames]
+        if self.memory is None:
+            return self.engine(*batch[:4], seed=seeds)
+        names = [str(frame) for frame in batch.frames]
+        known = self.memory.recall(split, names)
+        if known is not None:
+            return Prediction.of(known.to(batch.x.device))
+        prediction = self.engine(*batch[:4], seed=seeds)
+        if prediction.samples is not None:
+            self.memory.remember(split, names, prediction.samples)
+        return prediction
+
+    def remember(self, memory: PassMemory) -> None:
+        """Keep the stochastic passes from now on, and use those that are kept already.
+
+        Args:
+            memory: for the weights as they are now; training must be over.
+        """
+        self.memory = memory
+        self.engine.keep_samples = True
 
     def fit_calibrator(self, scores: SplitPrediction, frames: Sequence[FrameId]) -> None:
         """Calibrate the intervals of these weights, passes, rates and masks.
@@ -179,6 +205,21 @@ class CalibrationModule(lightning.LightningModule):
     def on_save_checkpoint(self, checkpoint: dict[str, object]) -> None:
         """Add the settings that another process needs to rebuild this module."""
         checkpoint["uncal_recipe"] = self.recipe
+        checkpoint["uncal_random"] = torch.get_rng_state()
+
+    def on_load_checkpoint(self, checkpoint: dict[str, object]) -> None:
+        """Go on as if never stopped, with the calibrator and the masks of this run's settings."""
+        state = cast("dict[str, Tensor]", checkpoint["state_dict"])
+        own = {k: v for k, v in self.state_dict().items() if k.startswith(NOT_LEARNT)}
+        learnt = {k: v for k, v in state.items() if not k.startswith(NOT_LEARNT)}
+        checkpoint["state_dict"] = {**learnt, **own}
+        self._random = cast("Tensor | None", checkpoint.get("uncal_random"))
+
+    def on_train_epoch_start(self) -> None:
+        """Put the random state back where an interrupted training had it."""
+        if self._random is not None:
+            torch.set_rng_state(self._random.cpu())
+            self._random = None
 
     def configure_optimizers(self) -> OptimizerLRSchedulerConfig:
         """The configured optimiser under a linear warm-up and a cosine decay over all steps."""

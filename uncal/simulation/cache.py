@@ -6,9 +6,9 @@ import logging
 import shutil
 from pathlib import Path
 
+from uncal.locking import locked
 from uncal.simulation.layout import is_own_folder, layout_of
-from uncal.simulation.locking import locked
-from uncal.simulation.manifest import Manifest, read_manifest
+from uncal.simulation.manifest import LOCK_NAME, Manifest, read_manifest
 from uncal.simulation.settings import SimulationSettings
 from uncal.simulation.writer import PARTIAL_PREFIX, write_missing
 
@@ -41,7 +41,7 @@ def ensure_simulated(
     """
     read_manifest(root)
     root.mkdir(parents=True, exist_ok=True)
-    with locked(root):
+    with locked(root / LOCK_NAME, f"simulates into {root}"):
         present = read_manifest(root)
         if present is not None and present.fingerprint != settings.fingerprint():
             log.warning(

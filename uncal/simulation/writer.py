@@ -18,11 +18,11 @@ from pathlib import Path
 from tqdm import tqdm
 
 from uncal.errors import ConfigurationError, RecordingError
+from uncal.locking import locked
 from uncal.memory import keep_freed_memory
 from uncal.simulation.drive import Piece
 from uncal.simulation.layout import Layout, layout_of
-from uncal.simulation.locking import locked
-from uncal.simulation.manifest import Manifest, read_manifest
+from uncal.simulation.manifest import LOCK_NAME, Manifest, read_manifest
 from uncal.simulation.settings import SimulationSettings
 
 log = logging.getLogger(__name__)
@@ -58,7 +58,7 @@ def simulate(
     """
     read_manifest(root)
     root.mkdir(parents=True, exist_ok=True)
-    with locked(root):
+    with locked(root / LOCK_NAME, f"simulates into {root}"):
         write_missing(settings, root, workers, progress)
 
 

@@ -1,0 +1,138 @@
+"""``run.json``: what a run was, so that its results can be placed and it need not run again."""
+
+from __future__ import annotations
+
+import json
+import logging
+import shlex
+import subprocess
+import time
+from collections.abc import Mapping, Sequence
+from datetime import datetime
+from pathlib import Path
+
+from uncal import __version__
+from uncal.reporting.layout import write_whole
+
+log = logging.getLogger(__name__)
+
+NAME = "run.json"
+
+
+class RunRecord:
+    """Begins with a run and is written when its results are.
+
+    Args:
+        folder: of the run.
+        command: that starts this run, and no other of its multirun.
+        settings: all that another process needs to repeat it, as plain values.
+        label: what the data are.
+        seed: the run's.
+        device: such as cpu or cuda.
+        request: digest of everything that decides the results.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        command: str,
+        settings: Mapping[str, object],
+        label: str,
+        seed: int,
+        device: str,
+        request: str,
+    ) -> None:
+        self.path = folder / NAME
+        self.request = request
+        self._began = time.monotonic()
+        self._content = {
+            "command": command,
+            "label": label,
+            "seed": seed,
+            "commit": commit_of_code(),
+            "version": __version__,
+            "device": device,
+            "request": request,
+            "settings": dict(settings),
+        }
+
+    def begin(self) -> None:
+        """Take the record of an earlier run of this folder away: its results are on their way out."""
+        self.path.unlink(missing_ok=True)
+
+    def finished_earlier(self) -> Mapping[str, object] | None:
+        """The record of a run that asked the same and ended, in the same folder; None without."""
+        found = read_run(self.path.parent)
+        if found is None or found.get("request") != self.request:
+            return None
+        return found if (self.path.parent / "results.csv").is_file() else None
+
+    def write(self, **results: object) -> Path:
+        """Write what the run was and what came out.
+
+        Args:
+            **results: further entries, as plain values.
+
+        Returns:
+            The path.
+        """
+        content = {
+            **self._content,
+            "finished": datetime.now().isoformat(timespec="seconds"),
+            "seconds": round(time.monotonic() - self._began, 1),
+            **results,
+        }
+        return write_whole(self.path, f"{json.dumps(content, indent=1, ensure_ascii=False)}\n")
+
+
+def read_run(folder: Path) -> dict[str, object] | None:
+    """The record in a run's folder; None, with a warning if it is damaged, where there is none.
+
+    Args:
+        folder: of a run.
+    """
+    path = folder / NAME
+    if not path.is_file():
+        return None
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        log.warning("%s cannot be read (%s): taken for missing", path, error)
+        return None
+    return content if isinstance(content, dict) else None
+
+
+def command_line(module: str, overrides: Sequence[str]) -> str:
+    """The command that starts one run.
+
+    Args:
+        module: such as uncal.train.
+        overrides: ``key=value``, as given or as a sweep chose them.
+
+    >>> command_line("uncal.train", ["seed=1", "interval.levels=[0.5, 0.9]"])
+    "python -m uncal.train seed=1 'interval.levels=[0.5, 0.9]'"
+    """
+    return shlex.join(["python", "-m", module, *overrides])
+
+
+def commit_of_code() -> str | None:
+    """Short hash of the commit that this code was taken from, "+" behind it if it was changed since.
+
+    Returns:
+        The hash; None where the code lies in no git repository of its own.
+    """
+    package = Path(__file__).resolve().parents[1]
+    if not (package.parent / ".git").exists():
+        return None
+    try:
+        head = _git(package, "rev-parse", "--short", "HEAD")
+        changed = _git(package, "status", "--porcelain", "--", "uncal", "conf")
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return f"{head}+" if changed else head
+
+
+def _git(package: Path, *arguments: str) -> str:
+    command = ["git", "-C", str(package.parent), *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=10, check=True)
+    return done.stdout.strip()

@@ -1,0 +1,128 @@
+"""What the entry points keep of a run: its record, its passes, and what an earlier one left."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from pathlib import Path
+
+import lightning
+from omegaconf import DictConfig
+
+from uncal.callbacks.report import Report
+from uncal.configuration import in_multirun, job_folder, job_overrides
+from uncal.data.datamodule import CalibrationDataModule
+from uncal.models.module import CalibrationModule
+from uncal.reporting.run_record import RunRecord, command_line
+from uncal.weights.digest import digest_of, digest_of_code
+from uncal.weights.ingredients import pass_ingredients
+from uncal.weights.obtain import Weights
+from uncal.weights.pass_memory import PassMemory
+
+log = logging.getLogger(__name__)
+
+
+def make_record(
+    entry_point: str,
+    config: DictConfig,
+    module: CalibrationModule,
+    trainer: lightning.Trainer,
+    weights: Mapping[str, object],
+) -> RunRecord:
+    """The record of a run that begins.
+
+    Args:
+        entry_point: such as uncal.train.
+        config: the run's configuration.
+        module: its network; has the settings that results depend on.
+        trainer: its trainer.
+        weights: what decides the weights.
+    """
+    decisive = {
+        "weights": dict(weights),
+        "settings": module.recipe,
+        "levels": [float(level) for level in config.interval.levels],
+        "code": digest_of_code(["."]),
+    }
+    return RunRecord(
+        folder=job_folder(),
+        command=command_line(entry_point, job_overrides()),
+        settings=module.recipe,
+        label=config.dataset.label,
+        seed=config.seed,
+        device=trainer.strategy.root_device.type,
+        request=digest_of(decisive),
+    )
+
+
+def finished_earlier(record: RunRecord, retrain: bool) -> float | None:
+    """What a job of a multirun returned when it ran before, if nothing has changed since.
+
+    Args:
+        record: of the job.
+        retrain: whether to run it anyway.
+
+    Returns:
+        The mean ratio; None if the job must run.
+    """
+    earlier = None if retrain or not in_multirun() else record.finished_earlier()
+    if earlier is None:
+        return None
+    log.info("%s: finished at %s, kept as it is", record.path.parent, earlier["finished"])
+    return float(str(earlier["mean_ratio"]))
+
+
+def remember_passes(
+    config: DictConfig,
+    data: CalibrationDataModule,
+    module: CalibrationModule,
+    trainer: lightning.Trainer,
+) -> None:
+    """Keep the stochastic passes of trained weights, and use those that are kept already.
+
+    Not with several processes, whose frames differ, nor with fixed masks, which a network must
+    meet itself before it can tell that they fit.
+
+    Args:
+        config: the run's configuration.
+        data: its recordings, split.
+        module: with its weights.
+        trainer: its trainer.
+    """
+    if config.store is None or trainer.world_size > 1 or module.masks is not None:
+        return
+    ingredients = pass_ingredients(config, data, module, trainer)
+    memory = PassMemory(Path(config.store) / "passes", ingredients, config.mcd.passes)
+    if config.get("retrain"):
+        memory.forget()
+    module.remember(memory)
+
+
+def keep_results(
+    record: RunRecord, trainer: lightning.Trainer, module: CalibrationModule, weights: Weights
+) -> None:
+    """Write the record of a run that has its results, and the passes that are new.
+
+    Args:
+        record: begun with the run.
+        trainer: after ``test``.
+        module: tested.
+        weights: the run's.
+    """
+    passes = {}
+    if module.memory is not None:
+        module.memory.save()
+        splits = ("uncertainty_calibration", "test")
+        passes = {split: module.memory.origin(split) for split in splits}
+    trained = weights.trained
+    record.write(
+        mean_ratio=Report.of(trainer).results.summary.mean_ratio,
+        weights={
+            "fingerprint": weights.fingerprint,
+            "reused": weights.reused,
+            "path": str(weights.path),
+            "training_seconds": None if trained is None else trained.seconds,
+            "epochs": None if trained is None else trained.epochs,
+        },
+        passes=passes,
+    )

@@ -1,0 +1,145 @@
+"""Everything that decides what trained weights are, and what a stochastic pass of them gives."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib.metadata import version
+from pathlib import Path
+from typing import cast
+
+import lightning
+from omegaconf import DictConfig, OmegaConf
+
+from uncal.data.datamodule import CalibrationDataModule
+from uncal.models.module import CalibrationModule
+from uncal.weights.digest import (
+    INFERENCE_CODE,
+    TRAINING_CODE,
+    digest_of_code,
+    digest_of_files,
+    digest_of_names,
+    digest_of_network,
+)
+
+ONLY_SHOWN: tuple[str, ...] = (
+    "uncertainty",
+    "overlays",
+    "interval_overlays",
+    "control",
+    "report",
+    "figures",
+    "progress",
+    "learning_rate",
+    "last",
+)
+"""Callbacks that look on; any other, such as early stopping, may change what is learnt."""
+
+NOT_LEARNT: tuple[str, ...] = (
+    "default_root_dir",
+    "enable_model_summary",
+    "enable_progress_bar",
+    "log_every_n_steps",
+    "accelerator",
+    "devices",
+)
+"""Settings of the trainer that change no weights, or that its own device and processes stand for."""
+
+
+def training_ingredients(
+    config: DictConfig,
+    data: CalibrationDataModule,
+    module: CalibrationModule,
+    trainer: lightning.Trainer,
+) -> dict[str, object]:
+    """Everything that decides what a training learns.
+
+    What changes only the inference is left out: passes, masks, interval method, levels, and who
+    calibrates the uncertainty or tests.
+
+    Args:
+        config: the run's configuration.
+        data: its recordings, split.
+        module: its network, not trained yet.
+        trainer: its trainer.
+
+    Returns:
+        Plain values; the same on every machine for the same data, settings and versions.
+    """
+    trainer_settings = _plain(config.trainer)
+    callbacks = _plain(config.callbacks)
+    checkpoint = callbacks.pop("checkpoint", None)
+    monitored = checkpoint.get("monitor") if isinstance(checkpoint, dict) else None
+    return {
+        **_data_ingredients(config, data),
+        "training frames": digest_of_names(data.splits["train"]),
+        "validation frames": digest_of_names(data.splits["validation"]),
+        "seed": config.seed,
+        "model": _plain(config.model),
+        "inserted dropout": _plain(config.mcd.insert) if config.mcd.insert else None,
+        "quantile levels": list(config.interval.quantile_levels),
+        "augmentation": _plain(config.augmentation),
+        "batch size": config.dataset.loader.batch_size,
+        "validations": config.dataset.validations,
+        "chosen by": monitored,
+        "trainer": {k: v for k, v in trainer_settings.items() if k not in NOT_LEARNT},
+        "device": trainer.strategy.root_device.type,
+        "processes": trainer.world_size,
+        "callbacks": {k: v for k, v in callbacks.items() if v and k not in ONLY_SHOWN},
+        "code": digest_of_code(TRAINING_CODE),
+        "network code": dict(digest_of_network(module.estimator)),
+        "versions": _versions(),
+    }
+
+
+def pass_ingredients(
+    config: DictConfig,
+    data: CalibrationDataModule,
+    module: CalibrationModule,
+    trainer: lightning.Trainer,
+) -> dict[str, object]:
+    """Everything but their number that decides what the stochastic passes of trained weights give.
+
+    Args:
+        config: the run's configuration.
+        data: its recordings, split.
+        module: its trained network.
+        trainer: its trainer.
+
+    Returns:
+        Plain values.
+    """
+    identity = module.engine.identity()
+    return {
+        **_data_ingredients(config, data),
+        "weights": identity.weights,
+        "rates": list(identity.rates),
+        "layers": None if config.mcd.layers is None else list(config.mcd.layers),
+        "strategy": config.mcd.strategy,
+        "chunk": config.mcd.chunk,
+        "seeds": [config.seed, config.mcd.seed],
+        "model": _plain(config.model),
+        "precision": str(config.trainer.precision),
+        "device": trainer.strategy.root_device.type,
+        "code": digest_of_code(INFERENCE_CODE),
+        "network code": dict(digest_of_network(module.estimator)),
+        "versions": _versions(),
+    }
+
+
+def _data_ingredients(config: DictConfig, data: CalibrationDataModule) -> dict[str, object]:
+    recording = _plain(config.dataset.recording)
+    recording.pop("root", None)
+    return {
+        "files": digest_of_files(Path(config.dataset.root)),
+        "recording": recording,
+        "image size": list(data.image_size),
+        "decalibration": _plain(config.decalibration),
+    }
+
+
+def _versions() -> Mapping[str, str]:
+    return {name: version(name) for name in ("torch", "lightning", "transformers")}
+
+
+def _plain(section: DictConfig) -> dict[str, object]:
+    return cast("dict[str, object]", OmegaConf.to_container(section, resolve=True))

@@ -1,0 +1,106 @@
+"""Trained weights, found again or trained now."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+
+from lightning.pytorch.utilities import rank_zero_only
+
+from uncal.reporting.run_record import commit_of_code
+from uncal.weights.store import Trained, WeightStore
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Weights that a run works with.
+
+    Attributes:
+        path: of their checkpoint.
+        fingerprint: of what went into them; empty where the user named a checkpoint to go on from.
+        reused: whether an earlier run trained them.
+        trained: how they came about; None where nothing keeps it.
+    """
+
+    path: Path
+    fingerprint: str
+    reused: bool
+    trained: Trained | None
+
+    def sentence(self) -> str:
+        """For the log and the report."""
+        if self.trained is None:
+            return (
+                f"Weights of {self.path}."
+                if self.reused
+                else "Weights trained in this run; not kept for others."
+            )
+        took = f"{self.trained.epochs} epochs, {self.trained.seconds:.0f} s"
+        if not self.reused:
+            return f"Weights {self.fingerprint} trained in this run ({took})."
+        return (
+            f"Weights {self.fingerprint} reused, not trained again: trained by {self.trained.run} "
+            f"at {self.trained.finished} ({took}). retrain=true trains anew."
+        )
+
+
+def obtain(
+    store: WeightStore,
+    train: Callable[[Path | None], Path],
+    *,
+    run: Path,
+    epochs: int,
+    last: Path | None,
+    retrain: bool,
+) -> Weights:
+    """Find weights, or train them while no other process does.
+
+    A training that was interrupted goes on after its last finished epoch.
+
+    Args:
+        store: knows what goes into the weights.
+        train: trains, from a checkpoint of an interrupted training or from nothing; gives the path
+            of the best checkpoint.
+        run: folder of this run.
+        epochs: of the training.
+        last: where this run keeps its last epoch; None if it does not.
+        retrain: train even if the weights, or a part of the way to them, are there.
+    """
+    if _is_follower():
+        # Its leader holds the lock and waits for it; both see the same files.
+        found = None if retrain else store.find()
+        if found is None:
+            return Weights(train(store.interrupted()), store.fingerprint, False, None)
+        return Weights(store.checkpoint, store.fingerprint, True, found)
+    with store.locked():
+        found = None if retrain else store.find()
+        if found is not None:
+            weights = Weights(store.checkpoint, store.fingerprint, True, found)
+            log.info(weights.sentence())
+            return weights
+        start = None if retrain else store.interrupted()
+        if start is not None:
+            log.info("going on with the interrupted training of %s", start)
+        store.begin(start or last)
+        began = time.monotonic()
+        best = train(start)
+        trained = Trained(
+            seconds=round(time.monotonic() - began, 1),
+            epochs=epochs,
+            finished=datetime.now().isoformat(timespec="seconds"),
+            run=str(run),
+            commit=commit_of_code(),
+        )
+        store.keep(best, trained)
+        return Weights(best, store.fingerprint, False, trained)
+
+
+def _is_follower() -> bool:
+    """Whether Lightning started this process to help another one."""
+    return int(getattr(rank_zero_only, "rank", 0)) > 0

@@ -1,0 +1,111 @@
+"""Stochastic passes kept on disk: a run of 50 also answers for 5, 10 and 25."""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from uncal.weights.digest import digest_of
+
+log = logging.getLogger(__name__)
+
+
+class PassMemory:
+    """Remembers the passes of trained weights, frame by frame.
+
+    Passes are a pure function of (seed, split, frame, number of the pass), so that the first n of N
+    are the passes that an engine of n would have run; up to rounding, since other rows may go
+    through the network together.
+
+    Args:
+        folder: where passes are kept; made when the first are.
+        ingredients: everything but their number that decides what passes give.
+        passes: how many are wanted.
+    """
+
+    def __init__(self, folder: Path, ingredients: Mapping[str, object], passes: int) -> None:
+        self.folder = folder / digest_of(ingredients)
+        self.passes = passes
+        self.recalled: dict[str, int] = {}
+        self.computed: dict[str, int] = {}
+        self._known: dict[str, dict[str, Tensor]] = {}
+        self._new: set[str] = set()
+
+    def recall(self, split: str, frames: Sequence[str]) -> Tensor | None:
+        """Passes of some frames.
+
+        Args:
+            split: that they come from.
+            frames: their names.
+
+        Returns:
+            (N, B, D), or None unless enough of all of them are known.
+        """
+        known = self._of(split)
+        found = [known[frame] for frame in frames if frame in known]
+        if len(found) < len(frames) or any(len(samples) < self.passes for samples in found):
+            return None
+        self.recalled[split] = self.recalled.get(split, 0) + len(frames)
+        return torch.stack([samples[: self.passes] for samples in found], dim=1)
+
+    def remember(self, split: str, frames: Sequence[str], samples: Tensor) -> None:
+        """Take note of passes; :meth:`save` writes them.
+
+        Args:
+            split: that the frames come from.
+            frames: their names.
+            samples: (N, B, D).
+        """
+        self.computed[split] = self.computed.get(split, 0) + len(frames)
+        kept = samples.detach().cpu().unbind(1)
+        self._of(split).update(zip(frames, kept, strict=True))
+        self._new.add(split)
+
+    def forget(self) -> None:
+        """Let go what is kept, so that everything is computed again."""
+        for path in self.folder.glob("*.pt"):
+            path.unlink(missing_ok=True)
+        self._known.clear()
+
+    def save(self) -> None:
+        """Write what is new; what others wrote meanwhile and had more passes stays."""
+        for split in sorted(self._new):
+            self.folder.mkdir(parents=True, exist_ok=True)
+            mine = self._known[split]
+            for frame, samples in _load(self._path(split)).items():
+                if len(samples) > len(mine.get(frame, ())):
+                    mine[frame] = samples
+            partial = self._path(split).with_suffix(f".{os.getpid()}.partial")
+            torch.save(mine, partial)
+            partial.replace(self._path(split))
+        self._new.clear()
+
+    def origin(self, split: str) -> str:
+        """How the passes of a split were come by: "computed", "reused" or "partly reused"."""
+        if not self.recalled.get(split):
+            return "computed"
+        return "partly reused" if self.computed.get(split) else "reused"
+
+    def _of(self, split: str) -> dict[str, Tensor]:
+        if split not in self._known:
+            self._known[split] = _load(self._path(split))
+        return self._known[split]
+
+    def _path(self, split: str) -> Path:
+        return self.folder / f"{split}.pt"
+
+
+def _load(path: Path) -> dict[str, Tensor]:
+    if not path.is_file():
+        return {}
+    try:
+        content: dict[str, Tensor] = torch.load(path, map_location="cpu", weights_only=True)
+    except Exception as error:  # a damaged file: what it held is computed again
+        log.warning("%s cannot be read (%s): its passes are computed again", path, error)
+        return {}
+    return content

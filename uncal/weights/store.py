@@ -1,0 +1,126 @@
+"""A folder of trained weights, each in a folder named by the fingerprint of what made it."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import logging
+import os
+import shutil
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from uncal.locking import locked
+from uncal.reporting.layout import write_whole
+from uncal.weights.digest import digest_of
+
+log = logging.getLogger(__name__)
+
+CHECKPOINT = "best.ckpt"
+RECORD = "trained.json"
+INGREDIENTS = "ingredients.json"
+UNFINISHED = "unfinished.json"
+LOCK = ".lock"
+
+
+@dataclass(frozen=True)
+class Trained:
+    """How some weights came about.
+
+    Attributes:
+        seconds: wall time of the training; of its last part, where it was interrupted.
+        epochs: epochs of the training.
+        finished: when, ISO 8601.
+        run: folder of the run that trained them.
+        commit: of the code; None outside a repository.
+    """
+
+    seconds: float
+    epochs: int
+    finished: str
+    run: str
+    commit: str | None
+
+
+class WeightStore:
+    """Trained weights by what went into them.
+
+    Args:
+        folder: where they are kept; made when the first are.
+        ingredients: everything that decides what the weights are, as plain values.
+    """
+
+    def __init__(self, folder: Path, ingredients: Mapping[str, object]) -> None:
+        self.ingredients = ingredients
+        self.fingerprint = digest_of(ingredients)
+        self.folder = folder / self.fingerprint
+
+    @property
+    def checkpoint(self) -> Path:
+        """Where the weights are, once they are."""
+        return self.folder / CHECKPOINT
+
+    @contextlib.contextmanager
+    def locked(self) -> Iterator[None]:
+        """Hold these weights, so that no other process trains them too."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        with locked(self.folder / LOCK, f"trains the same weights ({self.fingerprint})"):
+            yield
+
+    def find(self) -> Trained | None:
+        """The record of finished weights; None if there are none, or not whole."""
+        if not self.checkpoint.is_file():
+            return None
+        content = _read(self.folder / RECORD)
+        try:
+            return None if content is None else Trained(**content)  # type: ignore[arg-type]
+        except TypeError:
+            log.warning("%s is not of this version: not used", self.folder / RECORD)
+            return None
+
+    def interrupted(self) -> Path | None:
+        """The checkpoint after the last epoch of a training that did not end; None without one."""
+        content = _read(self.folder / UNFINISHED)
+        last = None if content is None else Path(str(content.get("last")))
+        return last if last is not None and last.is_file() else None
+
+    def begin(self, last: Path | None) -> None:
+        """Note where a training that starts now keeps its last epoch.
+
+        Args:
+            last: the checkpoint that will be there after every epoch; None if none is kept.
+        """
+        text = json.dumps(self.ingredients, indent=1, sort_keys=True)
+        write_whole(self.folder / INGREDIENTS, f"{text}\n")
+        (self.folder / RECORD).unlink(missing_ok=True)
+        if last is None:
+            (self.folder / UNFINISHED).unlink(missing_ok=True)
+        else:
+            note = json.dumps({"last": str(last.resolve())})
+            write_whole(self.folder / UNFINISHED, f"{note}\n")
+
+    def keep(self, checkpoint: Path, trained: Trained) -> None:
+        """Keep finished weights; a reader sees them whole or not at all.
+
+        Args:
+            checkpoint: the best one.
+            trained: how they came about.
+        """
+        partial = self.folder / f".{CHECKPOINT}.{os.getpid()}"
+        shutil.copyfile(checkpoint, partial)
+        partial.replace(self.checkpoint)
+        write_whole(self.folder / RECORD, f"{json.dumps(asdict(trained), indent=1)}\n")
+        (self.folder / UNFINISHED).unlink(missing_ok=True)
+
+
+def _read(path: Path) -> dict[str, object] | None:
+    """A JSON object; None, and a warning, if there is no such thing."""
+    if not path.is_file():
+        return None
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        log.warning("%s cannot be read (%s): not used", path, error)
+        return None
+    return content if isinstance(content, dict) else None
