@@ -4,9 +4,10 @@ import torch
 from torch import Tensor
 
 from uncal.data.augmentation import Augmentation
-from uncal.data.datamodule import CalibrationDataModule, LoaderSettings, SplitSettings
+from uncal.data.datamodule import CalibrationDataModule, LoaderSettings
 from uncal.data.dataset import Sample, SkippedFrame, collate
 from uncal.data.network_input import InputSettings, NetworkInput
+from uncal.data.split_settings import SplitSettings
 from uncal.data.splits import SPLITS
 from uncal.decalibration import DecalibrationRange
 from uncal.projection import project

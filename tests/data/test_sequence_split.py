@@ -1,7 +1,7 @@
 import pytest
 
-from uncal.data.datamodule import SplitSettings
 from uncal.data.sequence_split import OfficialSettings, split_officially
+from uncal.data.split_settings import SplitSettings
 from uncal.data.splits import SPLITS
 from uncal.errors import ConfigurationError
 from uncal.recordings.frame import FrameId

@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from uncal.data.splits import SPLITS, split_frames
+from uncal.data.splits import SPLITS, UNITS, split_frames
 from uncal.errors import ConfigurationError
 from uncal.recordings.frame import FrameId
 
@@ -26,11 +26,11 @@ def sizes(splits: dict[str, list[FrameId]]) -> list[int]:
     return [len(splits[name]) for name in SPLITS]
 
 
-@pytest.mark.parametrize("by", ["frame", "drive", "rig"])
+@pytest.mark.parametrize("by", UNITS)
 @pytest.mark.parametrize("seed", range(5))
 def test_disjoint_and_total(by: str, seed: int) -> None:
     frames = recording(n_rigs=6, n_drives=3, n_frames=7)
-    splits = split_frames(frames, by, PAPER, seed)
+    splits = split_frames(frames, by, PAPER, seed, block_frames=3)
     assert tuple(splits) == SPLITS
     together = [frame_id for members in splits.values() for frame_id in members]
     assert len(together) == len(frames)
@@ -49,13 +49,30 @@ def test_groups_stay_whole(by: str) -> None:
         assert one.isdisjoint(other)
 
 
-@pytest.mark.parametrize("by", ["frame", "drive", "rig"])
+@pytest.mark.parametrize("by", UNITS)
 def test_depends_on_the_seed_and_not_on_the_order(by: str) -> None:
     frames = recording(12, 2, 5)
     shuffled = [frames[i] for i in np.random.default_rng(0).permutation(len(frames))]
-    splits = split_frames(frames, by, PAPER, seed=3)
-    assert split_frames(shuffled, by, PAPER, seed=3) == splits
-    assert split_frames(frames, by, PAPER, seed=4) != splits
+    splits = split_frames(frames, by, PAPER, seed=3, block_frames=2)
+    assert split_frames(shuffled, by, PAPER, seed=3, block_frames=2) == splits
+    assert split_frames(frames, by, PAPER, seed=4, block_frames=2) != splits
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_blocks_stay_whole_and_drives_are_torn_apart(seed: int) -> None:
+    # Drives of 23 frames and blocks of 5: 0-4, 5-9, 10-14, 15-19, 20-22.
+    splits = split_frames(recording(4, 2, 23), "block", PAPER, seed, block_frames=5)
+    split_of = {frame: name for name, frames in splits.items() for frame in frames}
+    torn = 0
+    for rig, drive in itertools.product(range(4), range(2)):
+        numbered = [FrameId(f"rig{rig}", f"drive{drive}", index) for index in range(23)]
+        of_blocks = [
+            {split_of[f] for f in numbered[first : first + 5]} for first in range(0, 23, 5)
+        ]
+        assert all(len(names) == 1 for names in of_blocks)
+        torn += len(set.union(*of_blocks)) > 1
+    assert torn > 4
+    assert min(sizes(splits)) >= 3
 
 
 def test_a_known_split_stays_as_it_is() -> None:
@@ -67,6 +84,18 @@ def test_a_known_split_stays_as_it_is() -> None:
         "validation": ["rig2"],
         "uncertainty_calibration": ["rig0"],
         "test": ["rig5"],
+    }
+
+
+def test_a_known_split_into_blocks_stays_as_it_is() -> None:
+    frames = [FrameId("rig", "drive", index) for index in range(40)]
+    splits = split_frames(frames, "block", PAPER, seed=0, block_frames=4)
+    blocks = {name: sorted({f.index // 4 for f in members}) for name, members in splits.items()}
+    assert blocks == {
+        "train": [0, 1, 3, 4, 6, 9],
+        "validation": [5, 8],
+        "uncertainty_calibration": [7],
+        "test": [2],
     }
 
 
@@ -129,6 +158,10 @@ def test_too_few_groups_names_their_number_and_the_remedy() -> None:
         split_frames(recording(1, 1, 3), "frame", PAPER, seed=0)
     with pytest.raises(ConfigurationError, match=r"there are 0 \(none\)"):
         split_frames([], "frame", PAPER, seed=0)
+    with pytest.raises(
+        ConfigurationError, match=r"there are 2 \(rig0/drive0/block000.*lower split"
+    ):
+        split_frames(recording(1, 1, 40), "block", PAPER, seed=0, block_frames=20)
 
 
 @pytest.mark.parametrize(
@@ -146,7 +179,9 @@ def test_fractions_out_of_range(fractions: tuple[float, ...], message: str) -> N
 
 
 def test_unknown_unit() -> None:
-    with pytest.raises(ConfigurationError, match=r"'rigs', expected one of frame, drive, rig"):
+    with pytest.raises(
+        ConfigurationError, match=r"'rigs', expected one of frame, block, drive, rig"
+    ):
         split_frames(recording(4, 1, 1), "rigs", PAPER, seed=0)
 
 

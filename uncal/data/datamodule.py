@@ -14,46 +14,13 @@ from torch.utils.data import DataLoader, Dataset, Subset
 from uncal.data.augmentation import Augmentation
 from uncal.data.dataset import Batch, FrameDataset, Sample, SkippedFrame, collate
 from uncal.data.network_input import InputSettings, NetworkInput, make_input
-from uncal.data.sequence_split import FrameSplit, OfficialSettings, split_officially
-from uncal.data.splits import SPLITS, split_frames
+from uncal.data.split_settings import SplitSettings
+from uncal.data.splits import SPLITS
 from uncal.decalibration import DecalibrationRange
 from uncal.errors import RecordingError
-from uncal.recordings.frame import FrameId, Recording
+from uncal.recordings.frame import Recording
 
 log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True)
-class SplitSettings:
-    """How frames are shared out.
-
-    Attributes:
-        by: ``frame``, ``drive`` or ``rig``: what is never torn apart; or ``official``.
-        fractions: of the frames, in the order of :data:`uncal.data.splits.SPLITS`.
-        seed: of the shuffle.
-        official: how ``official`` shares frames out.
-    """
-
-    by: str
-    fractions: tuple[float, float, float, float]
-    seed: int
-    official: OfficialSettings | None = None
-
-    def split(self, frame_ids: Sequence[FrameId]) -> FrameSplit:
-        """Share frames out.
-
-        Args:
-            frame_ids: all of them.
-
-        Returns:
-            The split.
-
-        Raises:
-            ConfigurationError: a setting is out of range or does not fit these frames.
-        """
-        if self.by == "official" and self.official is not None:
-            return split_officially(frame_ids, self.official, self.seed)
-        return FrameSplit(split_frames(frame_ids, self.by, self.fractions, self.seed), "")
 
 
 @dataclass(frozen=True)
@@ -133,7 +100,11 @@ class CalibrationDataModule(lightning.LightningDataModule):
         )
 
     def loader_of(
-        self, split: str, most: int | None = None, share: tuple[int, int] = (0, 1)
+        self,
+        split: str,
+        most: int | None = None,
+        share: tuple[int, int] = (0, 1),
+        order: Sequence[int] | None = None,
     ) -> DataLoader[Batch]:
         """Batches of one split: shuffled in training, in order elsewhere.
 
@@ -141,6 +112,7 @@ class CalibrationDataModule(lightning.LightningDataModule):
             split: a name of :data:`uncal.data.splits.SPLITS`.
             most: frames at most, spread evenly over the split; None: all.
             share: (rank, world size): every so many-th of them, for one of several processes.
+            order: numbers of the frames to load, in that order, in place of the two above.
 
         Returns:
             A new loader.
@@ -150,8 +122,9 @@ class CalibrationDataModule(lightning.LightningDataModule):
         dataset: Dataset[Sample | SkippedFrame] = self.datasets[split]
         n = len(self.splits[split])
         used = n if most is None else min(n, most)
-        chosen = [i * n // used for i in range(used)][share[0] :: share[1]]
-        if len(chosen) < n:
+        evenly = [i * n // used for i in range(used)][share[0] :: share[1]]
+        chosen = evenly if order is None else list(order)
+        if chosen != list(range(n)):
             dataset, n = Subset(dataset, chosen), len(chosen)
         return DataLoader(
             dataset,  # type: ignore[arg-type]  # collate turns samples into a Batch

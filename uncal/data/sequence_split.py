@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from uncal.data.splits import SPLITS, split_frames
+from uncal.data.splits import SPLITS, by_name, split_frames
 from uncal.errors import ConfigurationError
 from uncal.recordings.dsec_sequences import TRAIN, drive_of, paper_split
 from uncal.recordings.frame import FrameId
@@ -59,7 +59,7 @@ def split_officially(
     if all(drive_of(drive) == drive for drive in drives):
         raise ConfigurationError(
             f"split.by=official is for the sequences of DSEC, named like {TRAIN[0]}; there are "
-            f"{', '.join(drives[:3])}: use split.by=frame, drive or rig"
+            f"{', '.join(drives[:3])}: use split.by=frame, block, drive or rig"
         )
     if len(settings.fractions) != len(SPLITS) - 1:
         raise ConfigurationError(
@@ -70,5 +70,4 @@ def split_officially(
     training = [frame_id for frame_id in frame_ids if frame_id.drive in sequences.training]
     test = [frame_id for frame_id in frame_ids if frame_id.drive in sequences.test]
     frames = split_frames(training, "frame", [*settings.fractions, 0.0], seed)
-    by_name = sorted(test, key=lambda frame_id: (frame_id.rig, frame_id.drive, frame_id.index))
-    return FrameSplit({**frames, "test": by_name}, sequences.note)
+    return FrameSplit({**frames, "test": sorted(test, key=by_name)}, sequences.note)

@@ -6,22 +6,27 @@ import hashlib
 import math
 from collections.abc import Iterable, Sequence
 
+from uncal.data.blocks import blocks
 from uncal.errors import ConfigurationError
 from uncal.recordings.frame import FrameId
 
 SPLITS: tuple[str, ...] = ("train", "validation", "uncertainty_calibration", "test")
 """The four splits, in the order of their fractions."""
 
-UNITS: tuple[str, ...] = ("frame", "drive", "rig")
-"""What may be kept whole: a frame (near-duplicates leak between splits), a drive, a rig."""
+UNITS: tuple[str, ...] = ("frame", "block", "drive", "rig")
+"""What may be kept whole: a frame (near-duplicates leak), a block, a drive, a rig."""
 
 _SUM_TOLERANCE = 1e-6
 
 
 def split_frames(
-    frame_ids: Iterable[FrameId], by: str, fractions: Sequence[float], seed: int
+    frame_ids: Iterable[FrameId],
+    by: str,
+    fractions: Sequence[float],
+    seed: int,
+    block_frames: int | None = None,
 ) -> dict[str, list[FrameId]]:
-    """Split frames into :data:`SPLITS`, keeping frames, drives or rigs whole.
+    """Split frames into :data:`SPLITS`, keeping frames, blocks, drives or rigs whole.
 
     The units are put in a pseudo-random order and each goes to the split that lacks most frames.
     With frames as units this is rounding by largest remainder. Every split with a fraction above
@@ -36,6 +41,8 @@ def split_frames(
         by: one of :data:`UNITS`.
         fractions: of all frames, one per split, summing to 1.
         seed: another seed, another split.
+        block_frames: of ``by="block"``, how many consecutive frames of a drive are a block; see
+            :func:`uncal.data.blocks.blocks`.
 
     Returns:
         Split → its frames, sorted by rig, drive and number; together exactly ``frame_ids``.
@@ -51,7 +58,7 @@ def split_frames(
     [24, 6, 6, 4]
     """
     _check(by, fractions)
-    units = _units(frame_ids, by)
+    units = _units(frame_ids, by, block_frames)
     n_frames = sum(map(len, units.values()))
     used = [split for split, fraction in enumerate(fractions) if fraction > 0]
     if len(units) < len(used):
@@ -59,7 +66,7 @@ def split_frames(
 
     lacking = [fraction * n_frames for fraction in fractions]
     members: list[list[FrameId]] = [[] for _ in SPLITS]
-    order = sorted(units, key=lambda name: _hash(seed, name))
+    order = sorted(units, key=lambda name: seeded_hash(seed, name))
     for position, name in enumerate(order):
         empty = [split for split in used if not members[split]]
         candidates = empty if len(order) - position == len(empty) else used
@@ -67,18 +74,38 @@ def split_frames(
         members[split] += units[name]
         lacking[split] -= len(units[name])
     return {
-        split: sorted(frames, key=_sort_key) for split, frames in zip(SPLITS, members, strict=True)
+        split: sorted(frames, key=by_name) for split, frames in zip(SPLITS, members, strict=True)
     }
 
 
-def _units(frame_ids: Iterable[FrameId], by: str) -> dict[str, list[FrameId]]:
+def seeded_hash(seed: int, name: str) -> bytes:
+    """A number that orders names pseudo-randomly.
+
+    Args:
+        seed: another seed, another order.
+        name: of a unit.
+    """
+    return hashlib.blake2b(f"{seed}:{name}".encode(), digest_size=16).digest()
+
+
+def by_name(frame_id: FrameId) -> tuple[str, str, int]:
+    """Sort key: rig, drive and number."""
+    return frame_id.rig, frame_id.drive, frame_id.index
+
+
+def _units(
+    frame_ids: Iterable[FrameId], by: str, block_frames: int | None
+) -> dict[str, list[FrameId]]:
     """Name of the unit → its frames."""
-    units: dict[str, list[FrameId]] = {}
     seen: set[FrameId] = set()
-    for frame_id in frame_ids:
+    for frame_id in (members := list(frame_ids)):
         if frame_id in seen:
             raise ValueError(f"Frame {frame_id} comes twice; the splits could then share it.")
         seen.add(frame_id)
+    if by == "block":
+        return blocks(members, block_frames)
+    units: dict[str, list[FrameId]] = {}
+    for frame_id in members:
         # Drives of different rigs may share a name.
         name = {
             "frame": str(frame_id),
@@ -111,20 +138,11 @@ def _check(by: str, fractions: Sequence[float]) -> None:
 
 def _too_few(units: dict[str, list[FrameId]], by: str, n_splits: int) -> str:
     some = ", ".join(sorted(units)[:8]) or "none"
-    remedy = (
-        "add frames (a smaller stride, more drives)"
-        if by == "frame"
-        else ("use split.by=frame, or add recordings")
-    )
+    remedy = {
+        "frame": "add frames (a smaller stride, more drives)",
+        "block": "lower split.block_frames, or add recordings",
+    }.get(by, "use split.by=frame, or add recordings")
     return (
         f"split.by={by} needs at least {n_splits} {by}s, one per split, but there are "
         f"{len(units)} ({some}): {remedy}."
     )
-
-
-def _hash(seed: int, name: str) -> bytes:
-    return hashlib.blake2b(f"{seed}:{name}".encode(), digest_size=16).digest()
-
-
-def _sort_key(frame_id: FrameId) -> tuple[str, str, int]:
-    return frame_id.rig, frame_id.drive, frame_id.index

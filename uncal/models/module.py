@@ -77,7 +77,6 @@ class CalibrationModule(lightning.LightningModule):
         self.mask_seed = mask_seed
         self.memory: PassMemory | None = None
         self.provenance: list[str] = []
-        self._random: Tensor | None = None
         self.recipe: dict[str, object] = {}
         self.tested: SplitPrediction | None = None
         self._tested: list[SplitPrediction] = []
@@ -205,7 +204,8 @@ class CalibrationModule(lightning.LightningModule):
     def on_save_checkpoint(self, checkpoint: dict[str, object]) -> None:
         """Add the settings that another process needs to rebuild this module."""
         checkpoint["uncal_recipe"] = self.recipe
-        checkpoint["uncal_random"] = torch.get_rng_state()
+        device = torch.cuda.get_rng_state_all() if torch.cuda.is_available() else []
+        checkpoint["uncal_random"] = [torch.get_rng_state(), *device]
 
     def on_load_checkpoint(self, checkpoint: dict[str, object]) -> None:
         """Go on as if never stopped, with the calibrator and the masks of this run's settings."""
@@ -213,13 +213,12 @@ class CalibrationModule(lightning.LightningModule):
         own = {k: v for k, v in self.state_dict().items() if k.startswith(NOT_LEARNT)}
         learnt = {k: v for k, v in state.items() if not k.startswith(NOT_LEARNT)}
         checkpoint["state_dict"] = {**learnt, **own}
-        self._random = cast("Tensor | None", checkpoint.get("uncal_random"))
-
-    def on_train_epoch_start(self) -> None:
-        """Put the random state back where an interrupted training had it."""
-        if self._random is not None:
-            torch.set_rng_state(self._random.cpu())
-            self._random = None
+        random = cast("list[Tensor]", checkpoint.get("uncal_random", []))
+        # Now, since Lightning draws the next epoch's order before it says that it starts.
+        if random:
+            torch.set_rng_state(random[0].cpu())
+        if len(random) == 1 + torch.cuda.device_count():
+            torch.cuda.set_rng_state_all([state.cpu() for state in random[1:]])
 
     def configure_optimizers(self) -> OptimizerLRSchedulerConfig:
         """The configured optimiser under a linear warm-up and a cosine decay over all steps."""

@@ -57,7 +57,7 @@ class RunRecord:
         }
 
     def begin(self) -> None:
-        """Take the record of an earlier run of this folder away: its results are on their way out."""
+        """Take away the record of an earlier run, whose results will be replaced."""
         self.path.unlink(missing_ok=True)
 
     def finished_earlier(self) -> Mapping[str, object] | None:
@@ -116,7 +116,7 @@ def command_line(module: str, overrides: Sequence[str]) -> str:
 
 
 def commit_of_code() -> str | None:
-    """Short hash of the commit that this code was taken from, "+" behind it if it was changed since.
+    """Short hash of the commit that this code was taken from; "+" if it was changed since.
 
     Returns:
         The hash; None where the code lies in no git repository of its own.

@@ -22,12 +22,23 @@ TRAINING_CODE: tuple[str, ...] = (
     "data",
     "models",
     "uncertainty/dropout.py",
-    "uncertainty/fingerprint.py",
 )
-"""The parts of this package that decide what is learnt."""
+"""The parts of this package that decide what is learnt, but for :data:`APART`."""
 
-INFERENCE_CODE: tuple[str, ...] = (*TRAINING_CODE, "uncertainty")
+INFERENCE_CODE: tuple[str, ...] = (*TRAINING_CODE, "models/prediction.py", "uncertainty")
 """The parts that decide what a stochastic pass gives."""
+
+APART: tuple[str, ...] = (
+    "data/splits.py",
+    "data/blocks.py",
+    "data/left_out.py",
+    "data/sequence_split.py",
+    "data/split_settings.py",
+    "models/control.py",
+    "models/inference.py",
+    "models/prediction.py",
+)
+"""Files in those folders that only choose frames, whose names count by themselves, or look on."""
 
 _LIBRARIES = ("torch", "lightning", "torchmetrics", "transformers", "uncal")
 
@@ -79,7 +90,7 @@ def digest_of_code(parts: Iterable[str]) -> str:
     """Digest of source files of this package; comments, docstrings and layout do not count.
 
     Args:
-        parts: files or folders, relative to the package.
+        parts: files or folders, relative to the package; of folders without :data:`APART`.
 
     Returns:
         16 hexadecimal digits.
@@ -87,7 +98,8 @@ def digest_of_code(parts: Iterable[str]) -> str:
     files: set[Path] = set()
     for part in parts:
         path = PACKAGE / part
-        files.update(path.rglob("*.py") if path.is_dir() else [path])
+        apart = {PACKAGE / name for name in APART}
+        files.update(set(path.rglob("*.py")) - apart if path.is_dir() else [path])
     return digest_of({path.relative_to(PACKAGE).as_posix(): meaning(path) for path in files})
 
 

@@ -42,7 +42,7 @@ NOT_LEARNT: tuple[str, ...] = (
     "accelerator",
     "devices",
 )
-"""Settings of the trainer that change no weights, or that its own device and processes stand for."""
+"""Settings of the trainer that change no weights, or that device and processes stand for."""
 
 
 def training_ingredients(

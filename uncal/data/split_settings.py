@@ -1,0 +1,145 @@
+"""What ``conf/split`` says, and the split that follows from it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from uncal.data.blocks import blocks, leave_gaps
+from uncal.data.left_out import cap_training, put_rigs_away
+from uncal.data.sequence_split import FrameSplit, OfficialSettings, split_officially
+from uncal.data.splits import split_frames
+from uncal.errors import ConfigurationError
+from uncal.recordings.frame import FrameId
+
+TESTERS: tuple[str, ...] = ("own", "unseen")
+"""Who may test: the split's own test part, or the rigs put away before the split."""
+
+
+@dataclass(frozen=True)
+class SplitSettings:
+    """How frames are shared out.
+
+    What trains, validates and calibrates does not depend on ``test``: one training serves both.
+    The later settings do nothing by default, as in checkpoints that were made before them.
+
+    Attributes:
+        by: ``frame``, ``block``, ``drive`` or ``rig``: what is never torn apart; or ``official``.
+        fractions: of the frames, in the order of :data:`uncal.data.splits.SPLITS`.
+        seed: of the shuffle.
+        official: how ``official`` shares frames out.
+        block_frames: of ``by=block``, consecutive frames of a drive.
+        block_gap: of ``by=block``, frames in no split where blocks of different splits meet.
+        unseen_rigs: share of the rigs that is put away before anything is split.
+        test: ``own``, the split's own test part, or ``unseen``, all frames of the rigs put away.
+        train_frames: exactly so many of the training frames; None: all.
+    """
+
+    by: str
+    fractions: tuple[float, float, float, float]
+    seed: int
+    official: OfficialSettings | None = None
+    block_frames: int | None = None
+    block_gap: int = 0
+    unseen_rigs: float = 0.0
+    test: str = "own"
+    train_frames: int | None = None
+
+    def split(self, frame_ids: Sequence[FrameId]) -> FrameSplit:
+        """Share frames out.
+
+        Args:
+            frame_ids: all of them.
+
+        Returns:
+            The split; frames that a setting leaves out are in none.
+
+        Raises:
+            ConfigurationError: a setting is out of range or does not fit these frames.
+        """
+        self._check()
+        kept, away = put_rigs_away(frame_ids, self.unseen_rigs, self.seed)
+        try:
+            shared = self._share_out(kept)
+        except ConfigurationError as error:
+            if not away:
+                raise
+            raise ConfigurationError(
+                f"{error} (split.unseen_rigs={self.unseen_rigs} had put {_n_rigs(away)} rig(s) "
+                "away before)"
+            ) from error
+        frames, notes = dict(shared.frames), [shared.note] if shared.note else []
+        if self.train_frames is not None:
+            available = len(frames["train"])
+            frames["train"] = cap_training(frames["train"], self.train_frames, self.seed)
+            if available > self.train_frames:
+                notes.append(
+                    f"Training uses {self.train_frames} of {available} frames (split.train_frames)."
+                )
+        if self.test == "unseen":
+            frames["test"] = away
+        if away:
+            notes.append(self._unseen_note(frames, away))
+        return FrameSplit(frames, " ".join(notes))
+
+    def _check(self) -> None:
+        if self.test not in TESTERS:
+            raise ConfigurationError(
+                f"split.test={self.test}: expected own (the split's own test part) or unseen (the "
+                "rigs that split.unseen_rigs puts away)"
+            )
+        if self.test == "unseen" and self.unseen_rigs == 0:
+            raise ConfigurationError(
+                "split.test=unseen tests on the rigs put away before the split, but "
+                "split.unseen_rigs=0 puts none away: set split.unseen_rigs to a share of the rigs, "
+                "say 0.2, or use split.test=own"
+            )
+        if self.by == "official" and self.unseen_rigs != 0:
+            raise ConfigurationError(
+                f"split.unseen_rigs={self.unseen_rigs}, but split.by=official tests on sequences "
+                "that DSEC names: set split.unseen_rigs=0, or use split.by=frame, block, drive or "
+                "rig"
+            )
+
+    def _share_out(self, frame_ids: Sequence[FrameId]) -> FrameSplit:
+        if self.by == "official" and self.official is not None:
+            return split_officially(frame_ids, self.official, self.seed)
+        whole = split_frames(frame_ids, self.by, self.fractions, self.seed, self.block_frames)
+        if self.by != "block":
+            return FrameSplit(whole, "")
+        frames = leave_gaps(whole, self.block_frames, self.block_gap)
+        note = f"A block is {self.block_frames} consecutive frames of a drive."
+        drives = {(frame_id.rig, frame_id.drive) for frame_id in frame_ids}
+        if len(blocks(frame_ids, self.block_frames)) == len(drives):
+            note += " No drive makes two of them, so that this is a split by drive."
+        if left_out := sum(len(whole[name]) - len(frames[name]) for name in whole):
+            note += (
+                f" {left_out} frame(s) between blocks of different splits are in none "
+                f"(split.block_gap={self.block_gap})."
+            )
+        return FrameSplit(frames, note)
+
+    def _unseen_note(self, frames: dict[str, list[FrameId]], away: Sequence[FrameId]) -> str:
+        if self.test == "own":
+            return (
+                f"{_n_rigs(away)} rig(s) ({len(away)} frames) were put away before the split and "
+                "are not used; split.test=unseen would test on them."
+            )
+        note = (
+            f"The test frames are those of {_n_rigs(away)} rig(s) put away before the split "
+            "(split.test=unseen)."
+        )
+        trained, calibrated = (
+            {frame_id.rig for frame_id in frames[name]}
+            for name in ("train", "uncertainty_calibration")
+        )
+        if trained & calibrated:
+            note += (
+                " The uncertainty was calibrated on rigs that training has seen, so that the "
+                "coverage guarantee does not reach these frames."
+            )
+        return note
+
+
+def _n_rigs(frame_ids: Sequence[FrameId]) -> int:
+    return len({frame_id.rig for frame_id in frame_ids})
