@@ -27,6 +27,7 @@ from uncal.uncertainty.calibrator import IntervalCalibrator
 from uncal.uncertainty.dropout import insert_dropout
 from uncal.uncertainty.masks import FixedMasks
 from uncal.uncertainty.mc_dropout import MCDropout
+from uncal.uncertainty.single_pass import SinglePass
 
 log = logging.getLogger(__name__)
 
@@ -150,6 +151,8 @@ def build_module(config: DictConfig) -> CalibrationModule:
 
 
 def _engine(mcd: DictConfig, network: nn.Module, masks: FixedMasks | None) -> MCDropout:
+    if mcd.passes == 1:
+        return SinglePass(network)
     layers = None if mcd.layers is None else list(mcd.layers)
     return MCDropout(
         network, mcd.passes, mcd.chunk, strategy=mcd.strategy, masks=masks, select=layers
@@ -163,6 +166,11 @@ def _calibrator(config: DictConfig, decalibration: DecalibrationRange) -> Interv
         raise ConfigurationError(
             f"interval: {kind.__name__} widens quantiles that the network gives, and this head "
             "gives none: add model/head=quantile"
+        )
+    if kind.needs_std and config.mcd.passes == 1:
+        raise ConfigurationError(
+            f"mcd.passes=1 is one pass without dropout and has no σ, which {kind.__name__} needs: "
+            "set at least 2 (the paper: 25), or choose interval=absolute or interval=cqr"
         )
     # Without σ the joint score would compare metres with radians.
     scales = {} if kind.needs_std else {"scales": decalibration.bounds.tolist()}

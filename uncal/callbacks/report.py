@@ -12,6 +12,7 @@ import lightning
 from lightning import LightningModule, Trainer
 
 from uncal import __version__
+from uncal.callbacks.image_blind import ImageBlindControl
 from uncal.data.datamodule import CalibrationDataModule
 from uncal.errors import ConfigurationError
 from uncal.models.module import CalibrationModule
@@ -21,7 +22,7 @@ log = logging.getLogger(__name__)
 
 
 class Report(lightning.Callback):
-    """Writes ``results.csv``, ``results.md`` and ``skipped.csv`` when a test ends.
+    """Writes the tables of :func:`write_report` and ``skipped.csv`` when a test ends.
 
     Args:
         folder: the run's folder.
@@ -57,14 +58,18 @@ class Report(lightning.Callback):
             return
         tested = pl_module.tested
         data = trainer.datamodule  # type: ignore[attr-defined]  # Lightning sets it in test()
+        frames = data.splits["test"]
+        control = ImageBlindControl.of(trainer)
         self.results = measure(
             tested.mean,
             tested.std,
             tested.target,
             pl_module.calibrator,
             self.levels,
-            groups=tested.groups(data.splits["test"], pl_module.groups),
+            groups=tested.groups(frames, pl_module.groups),
             bounds=tested.bounds,
+            control=None if control is None else control.among(tested.place),
+            frames=[str(frames[i]) for i in tested.place.tolist()],
         )
         data.share_skipped()
         if not trainer.is_global_zero:
@@ -97,16 +102,20 @@ def run_notes(module: CalibrationModule, data: CalibrationDataModule) -> list[st
     ]
     if data.split_note:
         notes.append(data.split_note)
-    rigs = {frame.rig for frame in data.splits["test"]}
-    if data.split_by != "frame":
+    tested = {frame.rig for frame in data.splits["test"]}
+    others = [ids for name, ids in data.splits.items() if name != "test"]
+    if tested.isdisjoint(frame.rig for ids in others for frame in ids):
         notes.append(
-            f"The test frames come from {len(rigs)} rig(s) that neither training nor calibration "
+            f"The test frames come from {len(tested)} rig(s) that neither training nor calibration "
             "has seen. Frames of one rig hang together, so the band of the exact law, which "
             "supposes exchangeable frames, is only a yardstick here."
-            if data.split_by == "rig"
-            else "Frames of one drive hang together, so the band of the exact law, which supposes "
+        )
+    elif data.split_by != "frame":
+        notes.append(
+            "Frames of one drive hang together, so the band of the exact law, which supposes "
             "exchangeable frames, is only a yardstick here."
         )
+    notes += module.provenance
     return notes
 
 

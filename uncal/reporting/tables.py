@@ -65,6 +65,7 @@ def write_results(
     extra: Mapping[str, str] | None = None,
     sections: Sequence[Section] = (),
     promise: Promise = "exact",
+    more: Sequence[Sequence[str]] = (),
 ) -> tuple[Path, Path]:
     """Write ``results.csv`` and ``results.md``, each whole or not at all.
 
@@ -76,16 +77,17 @@ def write_results(
         summary: :func:`summarise`.
         label: what data this is, for the heading, such as "simulated".
         notes: sentences to print below the table.
-        extra: further named lines of the summary, such as the image-blind control.
+        extra: further named lines of the summary.
         sections: smaller tables to add below.
         promise: what the interval method promises; only the exact law's band is called allowed.
+        more: further lines of the table, below the errors: a name and one cell per DoF.
 
     Returns:
         The paths of the csv and of the md.
     """
     folder.mkdir(parents=True, exist_ok=True)
     lines = [f"# Results on {label} data", "", _sizes(summary), ""]
-    lines += markdown_lines(_grid(rows, promise))
+    lines += markdown_lines(_grid(rows, promise, more))
     lines += ["", *(f"- {text}" for text in _summary_lines(summary, extra or {})), ""]
     lines += [f"- {text}" for text in [*_explanations(rows, promise), *notes]]
     lines.append(
@@ -110,6 +112,7 @@ def format_terminal(
     extra: Mapping[str, str] | None = None,
     sections: Sequence[Section] = (),
     promise: Promise = "exact",
+    more: Sequence[Sequence[str]] = (),
 ) -> str:
     """The table as aligned plain text of at most :data:`TERMINAL_WIDTH` columns.
 
@@ -118,14 +121,15 @@ def format_terminal(
         summary: :func:`summarise`.
         label: what data this is, for the heading, such as "simulated".
         notes: sentences to print below the table.
-        extra: further named lines of the summary, such as the image-blind control.
+        extra: further named lines of the summary.
         sections: smaller tables to add below.
         promise: what the interval method promises; only the exact law's band is called allowed.
+        more: further lines of the table, below the errors: a name and one cell per DoF.
     """
-    grid = _grid(rows, promise)
+    grid = _grid(rows, promise, more)
     heading = f"Results on {label} data"
     lines = [heading, "=" * len(heading), _sizes(summary), ""]
-    levels = [index for index, line in enumerate(grid) if line[0].endswith("(%)")]
+    levels = [index for index, line in enumerate(grid) if " PICP" in line[0]]
     lines += [*aligned_lines(grid, gaps=levels), ""]
     lines += _wrapped(_summary_lines(summary, extra or {}))
     lines += _wrapped([*_explanations(rows, promise), *notes])
@@ -139,7 +143,9 @@ def _wrapped(texts: Sequence[str]) -> list[str]:
     return [textwrap.fill(text, TERMINAL_WIDTH, subsequent_indent="  ") for text in texts]
 
 
-def _grid(rows: Sequence[ResultRow], promise: Promise) -> list[list[str]]:
+def _grid(
+    rows: Sequence[ResultRow], promise: Promise, more: Sequence[Sequence[str]]
+) -> list[list[str]]:
     """DoF as columns like the paper's table: a heading, the errors, three lines per level."""
     levels = list(dict.fromkeys(row.level for row in rows))
     at_level = {level: [row for row in rows if row.level == level] for level in levels}
@@ -149,6 +155,7 @@ def _grid(rows: Sequence[ResultRow], promise: Promise) -> list[list[str]]:
         ["MAE before", *(_length(row.mae_before, row) for row in errors)],
         ["MAE after", *(_length(row.mae_after, row) for row in errors)],
         ["after / before", *(number(row.ratio, 2) for row in errors)],
+        *(list(line) for line in more),
     ]
     for level, group in at_level.items():
         first, exact = group[0], promise == "exact"
