@@ -1,0 +1,69 @@
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+
+from uncal.errors import UncalError
+from uncal.reporting.comparison.csv_rows import read_rows
+from uncal.reporting.joint_rows import JointRow
+from uncal.reporting.rows import ResultRow
+from uncal.reporting.tables import COLUMNS
+
+HEADER = ",".join(COLUMNS)
+LINES = [
+    f"{dof},{unit},90.0,91.5,20.45,inf,80.0,97.5,True,5.5,5.0,nan,200,296"
+    for dof, unit in zip(
+        ("X", "Y", "Z", "Roll", "Pitch", "Yaw"), ("cm",) * 3 + ("°",) * 3, strict=True
+    )
+]
+
+
+def _file(tmp_path: Path, *lines: str, end: str = "\n") -> Path:
+    path = tmp_path / "results.csv"
+    path.write_text("\n".join([*lines]) + end, encoding="utf-8")
+    return path
+
+
+def test_rows_come_back_with_their_types(tmp_path: Path) -> None:
+    rows = read_rows(_file(tmp_path, HEADER, *LINES), ResultRow)
+    assert [row.dof for row in rows] == ["X", "Y", "Z", "Roll", "Pitch", "Yaw"]
+    assert (rows[0].picp, rows[0].in_band, rows[0].n_test) == (91.5, True, 200)
+    assert rows[0].interval_score == float("inf")
+    assert math.isnan(rows[0].ratio)
+
+
+def test_what_a_method_does_not_offer_may_lack_its_column(tmp_path: Path) -> None:
+    path = _file(tmp_path, "level,together,n_test,n_calibration", "90.0,66.5,200,296")
+    (row,) = read_rows(path, JointRow)
+    assert (row.together, row.joint, row.joint_in_band) == (66.5, None, None)
+
+
+@pytest.mark.parametrize(
+    ("lines", "end", "reason"),
+    [
+        ([HEADER.replace("picp", "coverage"), *LINES], "\n", "no column picp"),
+        ([HEADER, *LINES[:5]], "\n", "90% has rows for X, Y, Z, Roll, Pitch, not for"),
+        ([HEADER, LINES[0].replace("91.5", "much"), *LINES[1:]], "\n", "picp is 'much'"),
+        ([HEADER, LINES[0].replace("True", "yes"), *LINES[1:]], "\n", "in_band is 'yes'"),
+        ([HEADER, *LINES[:5], LINES[5][:20]], "\n", "line 7 has no is"),
+        ([HEADER, *LINES], "", "the last line is cut off"),
+        ([HEADER], "\n", "no rows"),
+    ],
+)
+def test_damage_is_named(tmp_path: Path, lines: list[str], end: str, reason: str) -> None:
+    path = _file(tmp_path, *lines, end=end)
+    with pytest.raises(UncalError) as caught:
+        read_rows(path, ResultRow)
+    text = str(caught.value)
+    assert text.startswith(f"{path} is damaged: ")
+    assert reason in text
+    assert "uncal.evaluate" in text
+
+
+def test_bytes_that_are_no_text(tmp_path: Path) -> None:
+    path = tmp_path / "results.csv"
+    path.write_bytes(b"\xff\xfe\x00dof")
+    with pytest.raises(UncalError, match="is damaged"):
+        read_rows(path, ResultRow)

@@ -1,0 +1,124 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+
+from uncal.errors import UncalError
+from uncal.geometry import DOF_NAMES
+from uncal.reporting.curve_rows import CurveRow
+from uncal.reporting.figures.calibration_curves import (
+    calibration_curves,
+    read_curve,
+    why_yardstick,
+)
+from uncal.reporting.figures.style import DOF_COLOURS, DOF_LINES, DOF_MARKERS
+
+COLUMNS = "dof,level,picp,coverage_low,coverage_high,in_band\n"
+
+
+def _rows() -> list[CurveRow]:
+    """Observed: 50 + j and 90 - j for the j-th DoF; Yaw's 85 is below the band of 86..94."""
+    return [
+        CurveRow(dof, level, found, low, high, low <= found <= high)
+        for j, dof in enumerate(DOF_NAMES)
+        for level, found, low, high in ((50.0, 50.0 + j, 40.0, 60.0), (90.0, 90.0 - j, 86.0, 94.0))
+    ]
+
+
+def _curves(panel: Axes) -> dict[object, list[tuple[float, float]]]:
+    return {
+        line.get_label(): [(float(x), float(y)) for x, y in np.asarray(line.get_xydata())]
+        for line in panel.lines
+        if not str(line.get_label()).startswith("_")
+    }
+
+
+def _corners(panel: Axes) -> set[tuple[float, float]]:
+    (band,) = panel.collections
+    return {(float(x), float(y)) for x, y in np.asarray(band.get_paths()[0].vertices)}
+
+
+def test_curves_band_and_diagonal_are_the_rows() -> None:
+    figure = calibration_curves(_rows(), "simulated", "").figure
+    translations, rotations, below_left, below_right = figure.axes
+    assert list(_curves(translations)) == ["X", "Y", "Z"]
+    assert list(_curves(rotations)) == ["Roll", "Pitch", "Yaw"]
+    assert _curves(rotations)["Yaw"] == [(50.0, 55.0), (90.0, 85.0)]
+    assert _curves(below_right)["Yaw"] == [(50.0, 5.0), (90.0, -5.0)]
+    assert _curves(below_left)["Y"] == [(50.0, 1.0), (90.0, -1.0)]
+    for panel in (translations, rotations):
+        assert {(50, 40), (90, 86), (90, 94), (50, 60)} <= _corners(panel)
+        assert panel.lines[0].get_xydata().tolist() == [[0, 0], [100, 100]]  # type: ignore[union-attr]
+    assert {(50, -10), (90, -4), (90, 4), (50, 10)} <= _corners(below_left)
+    assert below_left.lines[0].get_xydata().tolist() == [[0, 0], [100, 0]]  # type: ignore[union-attr]
+    assert below_left.get_ylim() == below_right.get_ylim()
+
+
+def test_axes_say_what_they_show_in_percent() -> None:
+    figure = calibration_curves(_rows(), "simulated street-scene", "").figure
+    assert [panel.get_title() for panel in figure.axes[:2]] == ["Translations", "Rotations"]
+    assert figure.axes[0].get_ylabel() == "Observed coverage (%)"
+    assert figure.axes[3].get_xlabel() == "Expected coverage (%)"
+    assert "percentage points" in figure.axes[2].get_ylabel()
+    assert [text.get_text() for text in figure.texts] == ["simulated street-scene"]
+
+
+def test_each_dof_has_its_own_colour_line_and_marker() -> None:
+    figure = calibration_curves(_rows(), "simulated", "").figure
+    for line in figure.axes[0].lines[1:] + figure.axes[1].lines[1:]:
+        dof = str(line.get_label())
+        assert line.get_color() == DOF_COLOURS[dof]
+        assert line.get_linestyle() == DOF_LINES[dof]
+        assert line.get_marker() == DOF_MARKERS[dof]
+
+
+@pytest.mark.parametrize(
+    ("yardstick", "legend", "caption"),
+    [
+        ("", "99.9 % band of the exact law", "1 of 12 points lie outside."),
+        ("no promise", "99.9 % band, a yardstick", "only a yardstick: no promise."),
+        (None, "99.9 % band of the exact law", "a yardstick for other methods."),
+    ],
+)
+def test_the_band_is_called_what_it_is(yardstick: str | None, legend: str, caption: str) -> None:
+    drawn = calibration_curves(_rows(), "simulated", yardstick)
+    assert drawn.caption.endswith(caption)
+    assert drawn.figure.legends[0].get_texts()[0].get_text() == legend
+
+
+def test_why_the_band_is_no_promise() -> None:
+    assert why_yardstick("exact", "frame") == ""
+    assert "by rig" in why_yardstick("exact", "rig")
+    assert "rigs" in why_yardstick("exact", "frame", test="unseen")
+    assert "promises no coverage" in why_yardstick("none", "frame")
+    assert "by group" in why_yardstick("by group", "frame")
+
+
+def test_a_curve_reads_back(tmp_path: Path) -> None:
+    path = tmp_path / "calibration_curve.csv"
+    lines = [f"{dof},90.0,{j}.5,86.0,94.0,{j == 0}\n" for j, dof in enumerate(DOF_NAMES)]
+    path.write_text(COLUMNS + "".join(lines), encoding="utf-8")
+    rows = read_curve(path)
+    assert rows[0] == CurveRow("X", 90.0, 0.5, 86.0, 94.0, in_band=True)
+    assert rows[5] == CurveRow("Yaw", 90.0, 5.5, 86.0, 94.0, in_band=False)
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("", "no row of Pitch, Roll, X, Y, Yaw, Z"),
+        (COLUMNS + "X,90.0,much,86.0,94.0,True\n", "much"),
+        (COLUMNS + "X,90.0\n", "expected a calibration curve"),
+        ("dof,level\nX,90.0\n", "no column 'picp'"),
+    ],
+)
+def test_a_damaged_curve_is_named_with_a_remedy(tmp_path: Path, text: str, reason: str) -> None:
+    path = tmp_path / "calibration_curve.csv"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(UncalError, match=reason) as caught:
+        read_curve(path)
+    assert str(path) in str(caught.value)
+    assert "python -m uncal.evaluate" in str(caught.value)

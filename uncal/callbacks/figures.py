@@ -1,0 +1,58 @@
+"""The figures of a run, in its folder and in TensorBoard."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+import cv2
+import lightning
+from lightning import LightningModule, Trainer
+from lightning.pytorch.loggers import TensorBoardLogger
+
+from uncal.models.module import CalibrationModule
+from uncal.reporting.figures.named import save
+from uncal.reporting.figures.run_figures import figure_makers, recorded_yardstick
+
+log = logging.getLogger(__name__)
+
+
+class Figures(lightning.Callback):
+    """Draws all figures of a run when its test ends; stands after ``report``, whose files it reads.
+
+    Args:
+        folder: the run's folder; the figures go to ``figures`` in it.
+        label: what the data are, such as "simulated"; stands in every figure.
+    """
+
+    def __init__(self, folder: str, label: str) -> None:
+        self.folder = Path(folder)
+        self.label = label
+
+    def on_test_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Draw, write, log; a figure that fails is named, and the others and the run go on."""
+        if not trainer.is_global_zero:
+            return
+        yardstick = None
+        if isinstance(pl_module, CalibrationModule):
+            yardstick = recorded_yardstick(pl_module.recipe)
+        for name, make in figure_makers(self.folder, self.label, yardstick).items():
+            try:
+                figure = make()
+                png = None if figure is None else save(figure, self.folder / "figures")[0]
+            except Exception as error:
+                # Whatever it is: hours of training must not end here.
+                log.error("figure %s was not drawn: %s: %s", name, type(error).__name__, error)
+                continue
+            if png is not None:
+                _log(trainer, name, png)
+
+
+def _log(trainer: Trainer, name: str, png: Path) -> None:
+    for logger in trainer.loggers:
+        if isinstance(logger, TensorBoardLogger):
+            picture = cv2.imread(str(png))
+            assert picture is not None
+            logger.experiment.add_image(
+                f"figure/{name}", picture[:, :, ::-1], trainer.global_step, dataformats="HWC"
+            )

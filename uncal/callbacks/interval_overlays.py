@@ -1,0 +1,180 @@
+"""What an interval means on the image: points at its lower bound, its estimate, its upper bound."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+import cv2
+import lightning
+import numpy as np
+from lightning import LightningModule, Trainer
+from lightning.pytorch.loggers import TensorBoardLogger
+from numpy.typing import NDArray
+from torch import Tensor
+
+from uncal.callbacks.overlays import WIDTH_PX, background
+from uncal.data.datamodule import CalibrationDataModule
+from uncal.data.dataset import Sample
+from uncal.decalibration import correct, decalibrate
+from uncal.errors import ConfigurationError
+from uncal.geometry import DOF_NAMES, DOF_SCALE
+from uncal.models.module import CalibrationModule
+from uncal.models.prediction import SplitPrediction
+from uncal.reporting.overlay import overlay_panel
+from uncal.reporting.predictions import percent
+
+log = logging.getLogger(__name__)
+
+
+class IntervalOverlays(lightning.Callback):
+    """Draws test frames from the widest interval of one DoF to the narrowest (the paper's figure).
+
+    Args:
+        folder: where the PNGs go.
+        frames: how many, evenly spaced in rank: three are widest, median and narrowest.
+        dof: whose bounds are shown, a name of :data:`uncal.geometry.DOF_NAMES`.
+        level: coverage level of the interval, in (0, 1).
+        label: what the data are, such as "simulated"; stands in every picture.
+
+    Raises:
+        ConfigurationError: another DoF.
+    """
+
+    def __init__(self, folder: str, frames: int, dof: str, level: float, label: str) -> None:
+        if dof not in DOF_NAMES:
+            raise ConfigurationError(f'dof = "{dof}": choose one of {", ".join(DOF_NAMES)}')
+        self.folder = Path(folder)
+        self.frames = frames
+        self.dof = dof
+        self.level = level
+        self.label = label
+
+    def on_test_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Choose by width, draw, log."""
+        data = getattr(trainer, "datamodule", None)
+        if not trainer.is_global_zero or not isinstance(data, CalibrationDataModule):
+            return
+        if not isinstance(pl_module, CalibrationModule) or pl_module.tested is None:
+            return
+        tested = pl_module.tested
+        made = pl_module.calibrator.predict(
+            tested.mean,
+            tested.std,
+            self.level,
+            groups=tested.groups(data.splits["test"], pl_module.groups),
+            bounds=tested.bounds,
+        )
+        j = DOF_NAMES.index(self.dof)
+        lower, upper = made.lower[:, j], made.upper[:, j]
+        ranks = chosen_by_width(upper - lower, self.frames)
+        if not ranks:
+            log.info("no overlays of intervals: at %g %% none is finite", percent(self.level))
+        for rank, i in ranks.items():
+            what = f"{rank} {percent(self.level):g}% interval of {len(lower)} ({self.label})"
+            bounds = (lower[i].item(), upper[i].item())
+            try:
+                picture = self._draw(data, tested, i, bounds, what)
+            except Exception as error:
+                # Whatever it is: hours of training must not end here.
+                log.error("%s was not drawn: %s: %s", what, type(error).__name__, error)
+                continue
+            if picture is not None:
+                self._keep(trainer, picture, f"{self.dof.lower()}_{rank.replace(' ', '_')}")
+
+    def _draw(
+        self,
+        data: CalibrationDataModule,
+        tested: SplitPrediction,
+        i: int,
+        bounds: tuple[float, float],
+        what: str,
+    ) -> NDArray[np.uint8] | None:
+        sample = data.datasets["test"][int(tested.place[i])]
+        if not isinstance(sample, Sample):
+            return None
+        estimate, target = tested.mean[i].double(), tested.target[i].double()
+        T_init = decalibrate(sample.T_cam_lidar.double(), target)
+        extrinsics = bound_extrinsics(T_init, estimate, target, bounds, self.dof, what)
+        image = background(data, sample)
+        scale = max(1, round(WIDTH_PX / image.shape[1]))
+        K = sample.K.double().numpy()
+        return overlay_panel(image, sample.points.numpy(), K, extrinsics, scale)
+
+    def _keep(self, trainer: Trainer, picture: NDArray[np.uint8], name: str) -> None:
+        self.folder.mkdir(parents=True, exist_ok=True)
+        cv2.imwrite(str(self.folder / f"interval_{name}.png"), picture[:, :, ::-1])
+        for logger in trainer.loggers:
+            if isinstance(logger, TensorBoardLogger):
+                logger.experiment.add_image(
+                    f"interval/{name}", picture, trainer.global_step, dataformats="HWC"
+                )
+
+
+def chosen_by_width(width: Tensor, frames: int) -> dict[str, int]:
+    """Frames from the widest interval to the narrowest, evenly spaced in rank.
+
+    Args:
+        width: (n,) interval widths; infinite ones are passed over.
+        frames: how many; fewer where there are fewer finite widths.
+
+    Returns:
+        What it is, such as "widest" → its number among the n.
+
+    >>> import torch
+    >>> chosen_by_width(torch.tensor([2.0, 5.0, torch.inf, 1.0]), frames=3)
+    {'widest': 1, 'median': 0, 'narrowest': 3}
+    """
+    order = [i for i in width.argsort(descending=True, stable=True).tolist() if width[i].isfinite()]
+    if not order:
+        return {}
+    last = len(order) - 1
+    names = {last // 2: "median", last: "narrowest", 0: "widest"}
+    ranks = np.linspace(0, last, min(frames, len(order))).astype(int).tolist()
+    return {names.get(rank, f"rank {rank + 1}"): order[rank] for rank in ranks}
+
+
+def bound_extrinsics(
+    T_init: Tensor,
+    estimate: Tensor,
+    target: Tensor,
+    bounds: tuple[float, float],
+    dof: str,
+    what: str,
+) -> dict[str, NDArray[np.float64]]:
+    """The extrinsic corrected by the estimate, one DoF of which stands at a bound of its interval.
+
+    Args:
+        T_init: (4, 4) decalibrated extrinsic.
+        estimate: (6,) estimated decalibration, metres and radians.
+        target: (6,) true decalibration.
+        bounds: lower and upper bound of that DoF, metres or radians.
+        dof: its name.
+        what: which frame this is, for a caption.
+
+    Returns:
+        Caption in plain ASCII, which OpenCV can draw → (4, 4): lower bound, estimate, upper bound.
+    """
+    j = DOF_NAMES.index(dof)
+    unit, digits = ("cm", 1) if j < 3 else ("deg", 2)
+
+    def shown(value: float, sign: str) -> str:
+        return f"{DOF_SCALE[j] * value:{sign}.{digits}f} {unit}"
+
+    def corrected(value: float) -> NDArray[np.float64]:
+        moved = estimate.clone()
+        moved[j] = value
+        return correct(T_init, moved).numpy()
+
+    lower, upper = bounds
+    middle, truth = estimate[j].item(), target[j].item()
+    off, width = shown(middle - truth, "+"), shown(upper - lower, "")
+    return {
+        f"{dof} at its lower bound: {shown(lower - middle, '+')} from the estimate": corrected(
+            lower
+        ),
+        f"{dof} as estimated: off by {off}; {what}, {width} wide": corrected(middle),
+        f"{dof} at its upper bound: {shown(upper - middle, '+')} from the estimate": corrected(
+            upper
+        ),
+    }

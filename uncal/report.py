@@ -1,0 +1,92 @@
+"""Runs beside the paper's Table 1 and Table 2: ``python -m uncal.report RUN…``."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+import sys
+from collections.abc import Sequence
+from datetime import datetime
+from pathlib import Path
+
+from uncal.configuration import exits_on_error, quiet_libraries
+from uncal.errors import UncalError
+from uncal.reporting.comparison.content import compare
+from uncal.reporting.comparison.gathering import gather
+from uncal.reporting.comparison.html_page import html_page
+from uncal.reporting.comparison.markdown_text import markdown_text
+from uncal.reporting.comparison.terminal import terminal_text
+from uncal.reporting.comparison.tidy import tidy_csv
+from uncal.reporting.layout import write_whole
+from uncal.reporting.published import published_paper
+
+DESCRIPTION = """\
+Puts one or several runs beside the paper's Table 1 and Table 2 (WACV 2025): intervals, MC dropout
+alone, errors, the whole pose, the image-blind control, coverage by σ, and the figures, each with
+the command that made it. The paper measured on real KITTI and DSEC, a run on what it says: only the
+kind of statement can be compared, and the page says so."""
+
+EPILOG = """\
+Written into the output folder:
+  report.html  everything, in one page that can be mailed or printed; needs no network
+  report.md    the same tables as text
+  report.csv   one number per line: source, data, method, dof, unit, level, metric, value
+
+Examples:
+  python -m uncal.report outputs/demo/2025-01-31_12-00-00-000000
+  python -m uncal.report outputs/demo/A outputs/demo/B --output comparison
+  python -m uncal.report outputs/multirun/2025-01-31_13-00-00-000000
+
+A run's folder is what python -m uncal.train and uncal.evaluate name at their end. Runs of earlier
+versions, without run.json, work too; what they lack is said. For the paper's Table 2 give a run
+made with interval=gaussian."""
+
+
+@exits_on_error
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Read, compare, write, show.
+
+    Args:
+        arguments: of the command line; None takes the process's own.
+    """
+    asked = parser().parse_args(arguments)
+    quiet_libraries()
+    gathered, paper = gather(asked.runs), published_paper()
+    given = sys.argv[1:] if arguments is None else arguments
+    content = compare(paper, gathered, shlex.join(["python", "-m", "uncal.report", *given]))
+    folder = asked.output or Path("outputs/report") / f"{datetime.now():%Y-%m-%d_%H-%M-%S-%f}"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        page = write_whole(folder / "report.html", html_page(content))
+        write_whole(folder / "report.md", markdown_text(content))
+        write_whole(folder / "report.csv", tidy_csv(paper, gathered.all_runs))
+    except OSError as error:
+        raise UncalError(
+            f"--output {folder}: the report cannot be written there ({error.strerror}); give a "
+            "folder that can be written to"
+        ) from error
+    sys.stdout.write(f"{terminal_text(paper, gathered)}\n\n{page}\n")
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    made = argparse.ArgumentParser(
+        prog="python -m uncal.report",
+        description=DESCRIPTION,
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    made.add_argument(
+        "runs", nargs="+", type=Path, metavar="RUN", help="folder of a run or of a multirun"
+    )
+    made.add_argument(
+        "--output",
+        type=Path,
+        metavar="FOLDER",
+        help="where to write (default: outputs/report/<time>)",
+    )
+    return made
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""Runs beside the published numbers: one page, one Markdown text, one tidy csv."""

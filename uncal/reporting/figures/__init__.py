@@ -1,0 +1,1 @@
+"""Figures of runs and multiruns, for the report, TensorBoard and papers."""

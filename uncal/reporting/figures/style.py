@@ -1,0 +1,154 @@
+"""How figures look: sizes of a paper's columns, and colours that the colour-blind tell apart."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from contextlib import AbstractContextManager
+from types import MappingProxyType
+
+import matplotlib as mpl
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.legend import Legend
+
+from uncal.geometry import DOF_NAMES, DOF_UNITS
+
+SINGLE_COLUMN, DOUBLE_COLUMN = 3.4, 7.0
+"""Widths of a paper's column and page, inches."""
+
+ORANGE, SKY, GREEN, YELLOW = "#E69F00", "#56B4E9", "#009E73", "#F0E442"
+BLUE, VERMILION, PURPLE, BLACK = "#0072B2", "#D55E00", "#CC79A7", "#000000"
+"""The palette of Okabe and Ito."""
+
+GREY = "#595959"
+"""Of what is not data: labels, reference lines."""
+
+BAND_GREY = "#D9D9D9"
+"""Of shaded bands that stand for theory."""
+
+DOF_COLOURS = MappingProxyType(
+    dict(zip(DOF_NAMES, (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY), strict=True))
+)
+DOF_LINES = MappingProxyType(dict(zip(DOF_NAMES, ("-", "--", "-.") * 2, strict=True)))
+DOF_MARKERS = MappingProxyType(dict(zip(DOF_NAMES, "os^Dvp", strict=True)))
+"""So that colour is never the only cue."""
+
+DOF_UNIT = MappingProxyType(dict(zip(DOF_NAMES, DOF_UNITS, strict=True)))
+
+TRANSLATIONS, ROTATIONS = DOF_NAMES[:3], DOF_NAMES[3:]
+
+_LABEL_POINTS = 6.5
+_STYLE = {
+    "font.family": "DejaVu Sans",
+    "font.size": 7.5,
+    "axes.titlesize": 8,
+    "axes.labelsize": 7.5,
+    "xtick.labelsize": 7,
+    "ytick.labelsize": 7,
+    "legend.fontsize": 7,
+    "legend.frameon": False,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.linewidth": 0.6,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "lines.linewidth": 1.2,
+    "lines.markersize": 3.5,
+    "grid.color": "#E6E6E6",
+    "grid.linewidth": 0.5,
+    "axes.axisbelow": True,
+    "patch.linewidth": 0.6,
+    # TrueType, since journals refuse matplotlib's default fonts of Type 3.
+    "pdf.fonttype": 42,
+    "figure.constrained_layout.h_pad": 0.03,
+    "figure.constrained_layout.w_pad": 0.03,
+}
+
+
+def paper_style() -> AbstractContextManager[None]:
+    """Fonts and lines of all figures, for a ``with`` around everything that draws.
+
+    Matplotlib asks for its settings at any time up to the saving, so :func:`new_figure` alone
+    could not give them; and nothing is changed for the user's own figures.
+    """
+    return mpl.rc_context(_STYLE)  # type: ignore[arg-type]  # keys as literals in newer stubs
+
+
+def new_figure(
+    rows: int,
+    columns: int,
+    *,
+    width: float = DOUBLE_COLUMN,
+    height: float,
+    label: str,
+    sharex: bool = False,
+    sharey: bool = False,
+    heights: Sequence[float] | None = None,
+) -> tuple[Figure, list[Axes]]:
+    """A figure without pyplot, laid out so that nothing overlaps; call it in :func:`paper_style`.
+
+    Args:
+        rows: of panels.
+        columns: of panels.
+        width: inches, such as :data:`SINGLE_COLUMN`.
+        height: inches.
+        label: what the data are, such as "simulated"; stands small and grey in the lower right.
+        sharex: whether all panels have the same x axis.
+        sharey: whether all panels have the same y axis.
+        heights: of the rows, relative to each other; None: equal.
+
+    Returns:
+        The figure and its panels, row by row.
+
+    >>> with paper_style():
+    ...     figure, panels = new_figure(1, 2, height=2.4, label="simulated")
+    >>> len(panels), figure.texts[0].get_text(), tuple(map(float, figure.get_size_inches()))
+    (2, 'simulated', (7.0, 2.4))
+    """
+    strip = 1.5 * _LABEL_POINTS / 72 / height
+    layout = ConstrainedLayoutEngine(rect=(0.0, strip, 1.0, 1.0 - strip))
+    figure = Figure(figsize=(width, height), layout=layout)
+    figure.text(
+        1 - 0.04 / width, 0.03 / height, label, ha="right", va="bottom", color=GREY,
+        fontsize=_LABEL_POINTS,
+    )  # fmt: skip
+    grid = figure.subplots(
+        rows, columns, sharex=sharex, sharey=sharey, squeeze=False, height_ratios=heights
+    )
+    return figure, list(grid.flat)
+
+
+def light_grid(panels: Iterable[Axes]) -> None:
+    """Faint lines to read values by.
+
+    Args:
+        panels: where.
+    """
+    for panel in panels:
+        panel.grid(visible=True)
+
+
+def shared_legend(figure: Figure, panels: Iterable[Axes]) -> Legend:
+    """One legend above all panels, where it hides nothing; what several have is named once.
+
+    Args:
+        figure: theirs.
+        panels: with labelled artists.
+
+    Returns:
+        The legend.
+    """
+    handles = {
+        text: handle
+        for panel in panels
+        for handle, text in zip(*panel.get_legend_handles_labels(), strict=True)
+    }
+    return figure.legend(
+        list(handles.values()),
+        list(handles),
+        loc="outside upper center",
+        ncols=len(handles),
+        columnspacing=1.4,
+        handletextpad=0.5,
+    )
