@@ -19,7 +19,15 @@ from uncal.configuration import CONFIG_DIR, exits_on_error
 from uncal.errors import ConfigurationError, UncalError
 from uncal.geometry import DOF_NAMES
 from uncal.reporting.layout import csv_text
+from uncal.reporting.multirun_jobs import read_jobs
 from uncal.reporting.tables import COLUMNS
+
+
+class CannotTravelError(Exception):
+    """Its constructor takes two arguments, but pickle gives it the one message."""
+
+    def __init__(self, first: str, second: str) -> None:
+        super().__init__(f"{first} and {second}")
 
 
 @hydra.main(version_base="1.3", config_path=CONFIG_DIR, config_name="train")
@@ -30,6 +38,8 @@ def task(config: DictConfig) -> float:
         raise ConfigurationError("one pass gives no spread; set at least 2")
     if passes == 2:
         raise ZeroDivisionError("an error of the program")
+    if passes == 9:
+        raise CannotTravelError("a", "b")
     if passes == 3:  # as uncal.train passes Ctrl-C on
         raise UncalError("interrupted; go on with ckpt=…") from SystemExit(1)
     rows = [[name, "cm", 90.0, *[float(passes)] * 5, True, *[1.0] * 3, 1, 1] for name in DOF_NAMES]
@@ -42,6 +52,8 @@ def task(config: DictConfig) -> float:
 def start(folder: Path, monkeypatch: pytest.MonkeyPatch, *arguments: str) -> None:
     monkeypatch.chdir(folder)
     quiet = ["hydra/hydra_logging=disabled", "hydra/job_logging=disabled"]
+    if not any("figures" in argument for argument in arguments):
+        quiet.append("++hydra.callbacks.summary.figures=false")  # they take seconds
     where = ["hydra.sweep.dir=many", "hydra.run.dir=one"]
     command = ["task", *arguments, *quiet, *where]
     monkeypatch.setattr(sys, "argv", command)
@@ -103,6 +115,8 @@ def test_ctrl_c_ends_the_multirun_and_keeps_what_there_is(
     assert jobs_with_results(tmp_path) == ["5"]
     text = markdown(tmp_path)
     assert "- `1` (mcd.passes=3): no results.csv: still running, interrupted" in text
+    assert "- not started (mcd.passes=7)" in text
+    assert "    python -m task -m mcd.passes=5,3,7 " in text
     assert not (tmp_path / "many" / "2").exists()
 
 
@@ -138,3 +152,74 @@ def test_a_failure_lets_go_of_what_its_frames_held() -> None:
         _ = failed.return_value
     frames = [entry.frame.f_locals for entry in raised.traceback if entry.name == "fail"]
     assert frames == [{}]
+
+
+def test_figures_are_drawn_after_the_last_job_even_if_one_failed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[str] = []
+
+    def draw(folder: Path) -> list[Path]:
+        drawn.append(",".join(job.folder for job in read_jobs(folder) if job.rows))
+        return captioned(folder)
+
+    monkeypatch.setattr("uncal.reporting.figures.sweep_figures.draw_sweep_figures", draw)
+    figures = "++hydra.callbacks.summary.figures=true"
+    with pytest.raises(SystemExit):
+        start(tmp_path, monkeypatch, "-m", "mcd.passes=5,7,8,1", figures)
+    assert drawn == ["0", "0,1,2"]  # at once, then not for minutes, then at the end
+    assert "![Coverage](figures/coverage.png)" in markdown(tmp_path)
+
+    start(tmp_path, monkeypatch, "-m", "mcd.passes=5,7,8,6", figures)
+    assert drawn[2:] == ["0,1,2,3"]  # once: on_multirun_end finds them up to date
+
+
+def captioned(folder: Path) -> list[Path]:
+    (folder / "figures").mkdir(exist_ok=True)
+    listed = folder / "figures" / "captions.csv"
+    listed.write_text("name,title,caption\ncoverage,Coverage,How to read it.\n")
+    return [listed]
+
+
+def test_a_figure_that_cannot_be_drawn_breaks_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said: list[str] = []
+
+    def draw(folder: Path) -> list[Path]:
+        raise ZeroDivisionError("no such font")
+
+    monkeypatch.setattr(
+        "uncal.callbacks.multirun_summary.log.exception", lambda text, *_: said.append(text)
+    )
+    monkeypatch.setattr("uncal.reporting.figures.sweep_figures.draw_sweep_figures", draw)
+    start(tmp_path, monkeypatch, "-m", "mcd.passes=5,7", "++hydra.callbacks.summary.figures=true")
+    assert jobs_with_results(tmp_path) == ["5", "7"]
+    assert "Jobs: 2, with results: 2" in markdown(tmp_path)
+    assert "were not drawn" in said[-1]
+
+
+def test_leftovers_of_a_larger_multirun_are_told_apart(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    start(tmp_path, monkeypatch, "-m", "mcd.passes=5,6,7")
+    start(tmp_path, monkeypatch, "-m", "mcd.passes=5")
+    text = markdown(tmp_path)
+    assert "Left out: 2 folders of an earlier multirun (`1`, `2`)." in text
+    assert "Jobs: 1, with results: 1" in text
+
+
+@pytest.mark.slow
+def test_parallel_jobs_are_summarised_and_the_others_run_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    joblib = ("hydra/launcher=joblib", "hydra.launcher.n_jobs=2")
+    with pytest.raises(SystemExit) as ended:
+        start(tmp_path, monkeypatch, "-m", "mcd.passes=9,5,2,6,7", *joblib)
+    assert ended.value.code == 1
+    assert jobs_with_results(tmp_path) == ["5", "6", "7"]
+    text = markdown(tmp_path)
+    assert "    python -m task -m mcd.passes=9,5,2,6,7 hydra/launcher=joblib" in text
+    assert "- `0` (mcd.passes=9): CannotTravelError: a and b" in text
+    assert "- `2` (mcd.passes=2): ZeroDivisionError: an error of the program" in text
+    assert not list((tmp_path / "many").glob(".*partial"))

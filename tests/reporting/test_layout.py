@@ -2,7 +2,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from uncal.reporting.layout import aligned_lines, csv_text, markdown_lines, number, write_whole
+import pytest
+
+from uncal.reporting.layout import (
+    aligned_lines,
+    csv_text,
+    markdown_lines,
+    number,
+    replaced_whole,
+    write_whole,
+)
 
 
 def test_columns_line_up_and_gaps_are_where_asked() -> None:
@@ -37,3 +46,21 @@ def test_nothing_partial_is_left(tmp_path: Path) -> None:
     path = write_whole(tmp_path / "a.csv", "x\n")
     write_whole(path, "y\n")
     assert [(each.name, each.read_text()) for each in tmp_path.iterdir()] == [("a.csv", "y\n")]
+
+
+def test_two_that_write_the_same_file_do_not_meet(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    with replaced_whole(path) as first, replaced_whole(path) as second:
+        assert first != second
+        first.write_text("first\n")
+        second.write_text("second\n")
+    assert path.read_text() == "first\n"  # it ended last
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_what_breaks_off_leaves_the_file_as_it_was(tmp_path: Path) -> None:
+    path = write_whole(tmp_path / "a.csv", "x\n")
+    with pytest.raises(ZeroDivisionError), replaced_whole(path) as partial:
+        partial.write_text("half")
+        raise ZeroDivisionError
+    assert [(each.name, each.read_text()) for each in tmp_path.iterdir()] == [("a.csv", "x\n")]

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 from pathlib import Path
 
 import pytest
 
 from uncal.geometry import DOF_NAMES, DOF_UNITS
-from uncal.reporting.multirun import summary_csv, summary_markdown, write_summary
-from uncal.reporting.multirun_jobs import UNFINISHED, read_jobs, swept_keys
+from uncal.reporting.layout import csv_text
+from uncal.reporting.multirun import summary_csv, write_summary
+from uncal.reporting.multirun_jobs import UNFINISHED, Job, read_jobs, swept_keys
+from uncal.reporting.multirun_markdown import summary_markdown
 from uncal.reporting.rows import ResultRow, Summary
 from uncal.reporting.tables import write_results
 
@@ -87,7 +90,8 @@ def test_the_csv_has_a_row_per_finished_job_level_and_dof(multirun: Path) -> Non
     table = list(csv.DictReader(io.StringIO(text)))
     assert list(table[0]) == [
         *(BEAMS, "seed", "dof", "unit", "level", "picp", "mpiw", "is", "ratio", "mae_after"),
-        *("n_test", "n_calibration", "folder"),
+        *("n_test", "n_calibration", "coverage_low", "coverage_high", "mae_before"),
+        *("label", "folder"),
     ]
     assert len(table) == 4 * 2 * 6
     pitch = table[12 + 4]
@@ -104,6 +108,10 @@ def test_the_csv_has_a_row_per_finished_job_level_and_dof(multirun: Path) -> Non
         "mae_after": "3.2",
         "n_test": "20",
         "n_calibration": "30",
+        "coverage_low": "80.0",
+        "coverage_high": "100.0",
+        "mae_before": "4.0",
+        "label": "simulated street-scene",
         "folder": "1",
     }
 
@@ -169,3 +177,159 @@ def test_a_table_with_other_columns_is_no_result(tmp_path: Path) -> None:
     assert job.rows == ()
     assert job.failure is not None
     assert "picp" in job.failure
+
+
+def test_mask_seeds_repeat_like_seeds(tmp_path: Path) -> None:
+    for number, (passes, masks) in enumerate([(5, 0), (5, 1), (10, 0), (10, 1)]):
+        swept = (f"mcd.passes={passes}", f"mcd.seed={masks}")
+        finished(tmp_path / f"{number}", *swept, seed=7, mpiw=passes + 2.0 * masks)
+    jobs = read_jobs(tmp_path)
+    assert swept_keys(jobs) == ("mcd.passes",)
+    text = summary_markdown(jobs, COMMAND)
+    assert "Mean ± standard deviation over the mask seeds 0, 1. Seed 7." in text
+    assert "| mcd.passes | mask seeds | X MPIW (cm) |" in text
+    assert "| 5 | 2 | 6.00 ± 1.41 |" in text
+    table = list(csv.DictReader(io.StringIO(summary_csv(jobs))))
+    assert [row["mcd.seed"] for row in table[::12]] == ["0", "1", "0", "1"]
+
+
+def test_the_first_table_is_of_all_dof(tmp_path: Path) -> None:
+    finished(tmp_path / "0", "mcd.passes=5", seed=0, mpiw=1.0, ratio=0.5)
+    finished(tmp_path / "1", "mcd.passes=10", seed=0, mpiw=2.0, ratio=0.5)
+    columns = ("level", "together", "joint", "bonferroni")
+    (tmp_path / "1" / "joint.csv").write_text(csv_text(columns, [[90.0, 61.5, 92.25, 95.0]]))
+    lines = summary_markdown(read_jobs(tmp_path), COMMAND).splitlines()
+    table = lines[lines.index("## All DoF, 90% intervals") + 2 :]
+    assert table[0] == (
+        "| mcd.passes | IS transl. (cm) | IS rot. (°) | MPIW transl. (cm) | MPIW rot. (°) "
+        "| PICP, mean (%) | PICP, lowest DoF (%) | six at once (%) | joint box (%) "
+        "| Bonferroni (%) | after / before |"
+    )
+    # widths of the DoF: 1, 2, 3 cm and 4, 5, 6 degrees; scores twice that; PICP 100 … 95
+    assert table[2] == "| 5 | 4.00 | 10.000 | 2.00 | 5.000 | 97.5 | 95.0 | – | – | – | 0.500 |"
+    assert table[3].startswith("| 10 | 6.00 | 12.000 | 3.00 | 6.000 |")
+    assert table[3].endswith("| 61.5 | 92.2 | 95.0 | 0.500 |")
+    table_csv = list(csv.DictReader(io.StringIO(summary_csv(read_jobs(tmp_path)))))
+    assert [row["joint"] for row in table_csv if row["dof"] == "X"] == ["", "", "92.25", ""]
+
+
+def test_the_control_says_point_errors_and_what_the_camera_contributes(tmp_path: Path) -> None:
+    columns = "dof mae_single mae_mean mae_blind contribution contribution_low contribution_high"
+    for seed in (0, 1):
+        for interval, number in (("conformal", seed), ("gaussian", 2 + seed)):
+            if number < 3:  # of the second method one seed only
+                swept = (f"interval={interval}", f"seed={seed}")
+                finished(tmp_path / f"{number}", *swept, seed=seed, mpiw=1.0)
+                values = [1.0 + seed, 0.5, 4.0, 60.0 + 10 * seed, 50.0, 71.6]
+                rows = [[dof, *values] for dof in DOF_NAMES]
+                text = csv_text(columns.split(), rows)
+                (tmp_path / f"{number}" / "control.csv").write_text(text)
+    lines = summary_markdown(read_jobs(tmp_path), COMMAND).splitlines()
+    heading = "## Mean absolute error of one pass without dropout and of the MC mean"
+    errors = lines[lines.index(heading) + 2 :]
+    assert errors[0].startswith("| interval | seeds | X one pass (cm) | X MC mean (cm) | Y one")
+    assert errors[2].startswith("| conformal | 2 | 1.50 ± 0.71 | 0.50 ± 0.00 |")
+    camera = lines[lines.index("## What the camera contributes") + 2 :]
+    assert (
+        camera[0] == "| interval | seeds | X (%) | Y (%) | Z (%) | Roll (%) | Pitch (%) | Yaw (%) |"
+    )
+    assert camera[2].startswith("| conformal | 2 | 65 ± 7 | 65 ± 7 |")
+    assert camera[3].startswith("| gaussian | 1 | 60 [50, 72] |")
+    table = list(csv.DictReader(io.StringIO(summary_csv(read_jobs(tmp_path)))))
+    assert {row["mae_single"] for row in table} == {"1.0", "2.0"}
+    assert {row["contribution"] for row in table} == {"60.0", "70.0"}
+
+
+def test_what_was_trained_and_what_was_found_again_is_said(tmp_path: Path) -> None:
+    for number, reused in enumerate([False, True, True, None]):
+        folder = tmp_path / f"{number}"
+        finished(folder, f"mcd.passes={number + 2}", seed=0, mpiw=1.0)
+        if reused is not None:
+            weights = {"fingerprint": "0123456789abcdef", "reused": reused}
+            (folder / "run.json").write_text(json.dumps({"weights": weights}))
+    text = summary_markdown(read_jobs(tmp_path), COMMAND)
+    assert "1 of 3 jobs trained, 2 reused weights." in text
+    table = list(csv.DictReader(io.StringIO(summary_csv(read_jobs(tmp_path)))))
+    assert [row["reused"] for row in table[::12]] == ["False", "True", "True", ""]
+    assert {row["weights"] for row in table[:12]} == {"0123456789abcdef"}
+
+
+def test_an_unfinished_multirun_says_how_it_goes_on(tmp_path: Path) -> None:
+    planned = [{"mcd.passes": passes} for passes in ("5", "10", "25")]
+    command = "python -m uncal.train -m mcd.passes=5,10,25"
+    finished(tmp_path / "0", "mcd.passes=5", seed=0, mpiw=1.0)
+    started(tmp_path / "1", "mcd.passes=10")
+    write_summary(tmp_path, command, planned)
+    text = (tmp_path / "summary.md").read_text(encoding="utf-8")
+    assert "Jobs: 3, with results: 1." in text
+    assert f"\n    {command} hydra.sweep.dir={tmp_path}\n" in text
+    assert f"- `1` (mcd.passes=10): {UNFINISHED}" in text
+    assert "- not started (mcd.passes=25)" in text
+
+    told = f"{command} hydra.sweep.dir={tmp_path}"
+    write_summary(tmp_path, told, planned)
+    text = (tmp_path / "summary.md").read_text(encoding="utf-8")
+    assert text.count("hydra.sweep.dir=") == 2  # the command, and how it goes on
+
+    finished(tmp_path / "2", "mcd.passes=25", seed=0, mpiw=1.0)
+    finished(tmp_path / "again", "mcd.passes=10", seed=0, mpiw=1.0)
+    write_summary(tmp_path, command, [planned[0], planned[2]])
+    assert "goes on" not in (tmp_path / "summary.md").read_text(encoding="utf-8")
+
+
+def test_folders_of_an_earlier_multirun_are_counted_and_left_out(tmp_path: Path) -> None:
+    for number, passes in enumerate((5, 10, 50)):
+        finished(tmp_path / f"{number}", f"mcd.passes={passes}", seed=0, mpiw=1.0)
+    jobs = write_summary(tmp_path, COMMAND, [{"mcd.passes": "5"}])
+    assert [job.folder for job in jobs] == ["0"]
+    text = (tmp_path / "summary.md").read_text(encoding="utf-8")
+    assert "Left out: 2 folders of an earlier multirun (`1`, `2`)." in text
+    assert "Jobs: 1, with results: 1." in text
+    assert "mcd.passes" not in (tmp_path / "summary.csv").read_text(encoding="utf-8")
+
+
+def test_a_job_that_ends_while_others_write_is_not_lost(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    finished(tmp_path / "0", "mcd.passes=5", seed=0, mpiw=1.0)
+    started(tmp_path / "1", "mcd.passes=10")
+    read = 0
+
+    def reads_before_the_other_ends(folder: Path) -> list[Job]:
+        nonlocal read
+        read += 1
+        jobs = read_jobs(folder)
+        if read == 1:
+            finished(tmp_path / "done", "mcd.passes=10", seed=0, mpiw=1.0)
+            (tmp_path / "done" / "results.csv").rename(tmp_path / "1" / "results.csv")
+            (tmp_path / "done" / ".hydra" / "overrides.yaml").unlink()
+        return jobs
+
+    monkeypatch.setattr("uncal.reporting.multirun.read_jobs", reads_before_the_other_ends)
+    write_summary(tmp_path, COMMAND)
+    assert "Jobs: 2, with results: 2." in (tmp_path / "summary.md").read_text(encoding="utf-8")
+    assert read == 2
+
+
+def test_a_record_that_is_being_written_is_no_error(tmp_path: Path) -> None:
+    finished(tmp_path / "0", "mcd.passes=5", seed=0, mpiw=1.0)
+    folder = started(tmp_path / "1", "mcd.passes=10")
+    (folder / ".hydra" / "overrides.yaml").write_text("- 'mcd.pass")
+    (folder / "run.json").write_text('{"weights": {"finger')
+    (folder / "results.csv").write_text((tmp_path / "0" / "results.csv").read_text()[:-9])
+    first, second = read_jobs(tmp_path)
+    assert first.rows
+    assert (second.overrides, second.weights) == ({}, None)
+    assert second.failure is not None
+    assert "damaged" in second.failure
+
+
+def test_figures_are_shown_with_their_captions(tmp_path: Path) -> None:
+    finished(tmp_path / "0", "mcd.passes=5", seed=0, mpiw=1.0)
+    (tmp_path / "figures").mkdir()
+    rows = [["coverage", "Coverage", "Read it, so."]]
+    text = csv_text(("name", "title", "caption"), rows)
+    (tmp_path / "figures" / "captions.csv").write_text(text)
+    write_summary(tmp_path, COMMAND)
+    shown = (tmp_path / "summary.md").read_text(encoding="utf-8")
+    assert "\n![Coverage](figures/coverage.png)\n\nRead it, so.\n" in shown

@@ -47,7 +47,8 @@ def test_comments_docstrings_and_layout_do_not_count(tmp_path: Path) -> None:
     first, same, other = (tmp_path / f"{name}.py" for name in "abc")
     first.write_text(SOURCE)
     same.write_text(
-        "import math\n\ndef area(\n    r: float,  # radius\n) -> float:\n    return math.pi * r ** 2\n"
+        "import math\n\n"
+        "def area(\n    r: float,  # radius\n) -> float:\n    return math.pi * r ** 2\n"
     )
     other.write_text(SOURCE.replace("**2", "**3"))
     assert meaning(first) == meaning(same)

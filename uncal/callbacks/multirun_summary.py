@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import shlex
 import sys
+import time
 import traceback
 from pathlib import Path
 
@@ -14,28 +15,46 @@ from hydra.experimental.callback import Callback
 from hydra.types import RunMode, TaskFunction
 from omegaconf import DictConfig
 
+from uncal.callbacks.job_process import make_portable, restore_start_method
+from uncal.callbacks.multirun_plan import planned_jobs, share_cores
 from uncal.reporting.multirun import write_summary
-from uncal.reporting.multirun_jobs import FAILED
+from uncal.reporting.multirun_jobs import FAILED, Job
+from uncal.reporting.multirun_markdown import CAPTIONS, FIGURES
 
 log = logging.getLogger(__name__)
 
+FIGURES_EVERY = 300.0
+"""Seconds from one drawing to the next while jobs are still to come."""
+
 
 class MultirunSummary(Callback):
-    """Writes ``summary.csv`` and ``summary.md`` into the folder of a multirun.
+    """Writes ``summary.csv``, ``summary.md`` and figures into the folder of a multirun.
 
     After every job and not only at the end: Hydra's sweeper raises what a failed job raised as soon
-    as all jobs have run, and then calls ``on_multirun_end`` no more.
+    as all jobs have run, and then calls ``on_multirun_end`` no more. A parallel launcher takes this
+    object along into the processes of the jobs, which then write at the same time.
+
+    Args:
+        figures: whether to draw; takes seconds, every five minutes and after the last job.
     """
 
-    def __init__(self) -> None:
-        # Taken here, because a launcher may pickle the callback into other processes.
+    def __init__(self, figures: bool = True) -> None:
+        self.figures = figures
+        # Taken here, because in the process of a job it would be the launcher's.
         self.command = shlex.join(["python", *sys.orig_argv[1:]])
+        self.planned: list[dict[str, str]] | None = None
+
+    def on_multirun_start(self, config: DictConfig, **kwargs: object) -> None:
+        """Note what is to come."""
+        self.planned = planned_jobs(config)
+        share_cores(config, self.planned)
 
     def on_job_start(
         self, config: DictConfig, *, task_function: TaskFunction, **kwargs: object
     ) -> None:
         """List the job as unfinished, so that an interrupted multirun shows it."""
         if is_multirun(config):
+            restore_start_method()
             (Path(config.hydra.runtime.output_dir) / FAILED).unlink(missing_ok=True)
             self._write(config)
 
@@ -49,15 +68,37 @@ class MultirunSummary(Callback):
             (folder / FAILED).write_text(f"{reason}\n", encoding="utf-8")
             names_it = f"{config.hydra.sweep.dir}/summary.md names it, the other jobs run on"
             log.error("%s\nThis job failed; %s.", reason, names_it)
-        self._write(config)
+            make_portable(job_return, reason)
+        jobs = self._write(config)
+        if self._settled(jobs) or time.time() - _modified(captions(config)) > FIGURES_EVERY:
+            self._draw(config)
 
     def on_multirun_end(self, config: DictConfig, **kwargs: object) -> None:
-        """Write the summary once more, when all launchers' jobs are done, and say where it is."""
+        """Write all once more, when all launchers' jobs are done, and say where it is."""
         jobs = self._write(config)
-        log.info("summary of %d jobs: %s/summary.md", jobs, config.hydra.sweep.dir)
+        self._draw(config)
+        log.info("summary of %d jobs: %s/summary.md", len(jobs), config.hydra.sweep.dir)
 
-    def _write(self, config: DictConfig) -> int:
-        return len(write_summary(Path(config.hydra.sweep.dir), self.command))
+    def _write(self, config: DictConfig) -> list[Job]:
+        return write_summary(Path(config.hydra.sweep.dir), self.command, self.planned)
+
+    def _settled(self, jobs: list[Job]) -> bool:
+        settled = sum(1 for job in jobs if job.rows or job.failed)
+        return self.planned is not None and settled >= len(self.planned)
+
+    def _draw(self, config: DictConfig) -> None:
+        """Figures; whatever goes wrong with them is no reason to lose a job or the summary."""
+        table = Path(config.hydra.sweep.dir) / "summary.csv"
+        if not self.figures or _modified(table) <= _modified(captions(config)):
+            return
+        # Matplotlib takes a second to import, and most jobs do not draw.
+        from uncal.reporting.figures.sweep_figures import draw_sweep_figures
+
+        try:
+            draw_sweep_figures(Path(config.hydra.sweep.dir))
+        except Exception:
+            log.exception("the figures of %s were not drawn", config.hydra.sweep.dir)
+        self._write(config)  # shows them
 
 
 def is_multirun(config: DictConfig) -> bool:
@@ -90,6 +131,23 @@ def failure(job_return: JobReturn) -> str:
         _let_go(error)
         return reason
     return ""
+
+
+def captions(config: DictConfig) -> Path:
+    """The file that is written when all figures of a multirun are drawn.
+
+    Args:
+        config: the multirun's, with Hydra's own node.
+    """
+    return Path(config.hydra.sweep.dir) / FIGURES / CAPTIONS
+
+
+def _modified(path: Path) -> float:
+    """When a file was last written, by whichever process; long ago if it is not there."""
+    try:
+        return path.stat().st_mtime
+    except OSError:
+        return 0.0
 
 
 def _let_go(error: BaseException) -> None:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Collection, Iterable, Sequence
+import secrets
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -92,9 +94,27 @@ def write_whole(path: Path, text: str) -> Path:
     Returns:
         The path.
     """
-    partial = path.with_name(f".{path.name}.partial")
-    partial.write_text(text, encoding="utf-8")
-    return partial.replace(path)
+    with replaced_whole(path) as partial:
+        partial.write_text(text, encoding="utf-8")
+    return path
+
+
+@contextmanager
+def replaced_whole(path: Path) -> Iterator[Path]:
+    """A file to write to instead; it takes the place of ``path`` when the block ends well.
+
+    Jobs of a multirun write the same summary at the same time, on several machines even: each
+    gets a file of its own, and the last to end stays.
+
+    Args:
+        path: the file, in a folder that exists.
+    """
+    partial = path.with_name(f".{path.name}.{secrets.token_hex(4)}.partial")
+    try:
+        yield partial
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)
 
 
 def number(value: float | None, digits: int) -> str:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import csv
+import json
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
-from omegaconf import OmegaConf
+import yaml  # type: ignore[import-untyped]
 
 from uncal.reporting.tables import COLUMNS
 
@@ -17,7 +18,16 @@ FAILED = "failed.txt"
 
 UNFINISHED = "no results.csv: still running, interrupted, or without callbacks.report"
 
+REPLICATES = ("seed", "mcd.seed")
+"""Keys whose values repeat an experiment instead of changing it."""
+
+STATE = ("results.csv", "joint.csv", "control.csv", "run.json", FAILED, ".hydra/overrides.yaml")
+"""The files of a job that a summary depends on."""
+
+_NUMBERS = [column for column in COLUMNS if column not in ("dof", "unit", "in_band")]
+
 _HEADING = re.compile(r"# Results on (?P<label>.*) data")
+_SEED = re.compile(r"^seed: *(?P<seed>\S+) *$", re.MULTILINE)
 
 
 @dataclass(frozen=True)
@@ -31,6 +41,11 @@ class Job:
         label: what the data are, as in the heading of the job's results.md; None without one.
         rows: of the job's results.csv, column → text as in the file; empty if it failed.
         failure: why there are no rows; None if there are.
+        joint: level → row of the job's joint.csv, where there is one.
+        control: DoF → row of the job's control.csv, where there is one.
+        weights: fingerprint of the trained weights; None where the job's run.json has none.
+        reused: whether those weights were found instead of trained; None where that is not known.
+        failed: whether the job raised; a job without results that did not may be running.
     """
 
     folder: str
@@ -39,10 +54,23 @@ class Job:
     label: str | None
     rows: tuple[Mapping[str, str], ...]
     failure: str | None
+    joint: Mapping[float, Mapping[str, str]] = field(default_factory=dict)
+    control: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    weights: str | None = None
+    reused: bool | None = None
+    failed: bool = False
+
+    @property
+    def mask_seed(self) -> str | None:
+        """``mcd.seed`` if it was set; else it follows the seed and says nothing of its own."""
+        return self.overrides.get("mcd.seed")
 
 
 def read_jobs(folder: Path) -> list[Job]:
     """All jobs below a multirun's folder, in the order of their folders' numbers.
+
+    Files may be missing or half there, because other processes are at work on them: a job then
+    counts as unfinished, and the next summary, after the change, has it right.
 
     Args:
         folder: ``hydra.sweep.dir``.
@@ -50,13 +78,21 @@ def read_jobs(folder: Path) -> list[Job]:
     Returns:
         Finished, failed and unfinished jobs; a folder without Hydra's record is no job's.
     """
+    return [_read_job(each, each.relative_to(folder).as_posix()) for each in job_folders(folder)]
+
+
+def job_folders(folder: Path) -> list[Path]:
+    """Where jobs are, in the order of their numbers.
+
+    Args:
+        folder: ``hydra.sweep.dir``.
+    """
     records = folder.glob("**/.hydra/overrides.yaml")
-    folders = sorted((path.parent.parent for path in records), key=_numbers_as_numbers)
-    return [_read_job(each, each.relative_to(folder).as_posix()) for each in folders]
+    return sorted((path.parent.parent for path in records), key=_numbers_as_numbers)
 
 
 def swept_keys(jobs: Sequence[Job]) -> tuple[str, ...]:
-    """The overrides whose value differs between the jobs, without ``seed``, in their order.
+    """The overrides whose value differs between the jobs, without :data:`REPLICATES`, in order.
 
     Args:
         jobs: of one multirun.
@@ -65,8 +101,21 @@ def swept_keys(jobs: Sequence[Job]) -> tuple[str, ...]:
     >>> swept_keys(jobs)
     ('a',)
     """
-    keys = dict.fromkeys(key for job in jobs for key in job.overrides if key != "seed")
+    keys = dict.fromkeys(key for job in jobs for key in job.overrides if key not in REPLICATES)
     return tuple(key for key in keys if len({job.overrides.get(key) for job in jobs}) > 1)
+
+
+def as_mapping(overrides: Iterable[object]) -> dict[str, str]:
+    """Overrides as key → value.
+
+    Args:
+        overrides: as on a command line.
+
+    >>> as_mapping(["+sweeps=passes", "mcd.passes=5", "~logger"])
+    {'sweeps': 'passes', 'mcd.passes': '5', 'logger': ''}
+    """
+    pairs = (str(item).partition("=") for item in overrides)
+    return {key.lstrip("+~"): value for key, _, value in pairs}
 
 
 def _numbers_as_numbers(path: Path) -> list[tuple[int, str]]:
@@ -75,41 +124,67 @@ def _numbers_as_numbers(path: Path) -> list[tuple[int, str]]:
 
 
 def _read_job(path: Path, folder: str) -> Job:
+    overrides = _overrides(path)
+    seed = _SEED.search(_text(path / ".hydra" / "config.yaml"))
+    label = _HEADING.match(_text(path / "results.md"))
     rows, failure = _results(path)
-    return Job(folder, _overrides(path), _seed(path), _label(path), rows, failure)
+    known = bool(rows)
+    weights, reused = _weights(path)
+    return Job(
+        folder=folder,
+        overrides=overrides,
+        seed=seed["seed"] if seed and seed["seed"] != "null" else None,
+        label=label["label"] if label else None,
+        rows=rows,
+        failure=failure,
+        joint={float(row["level"]): row for row in _table(path / "joint.csv")} if known else {},
+        control={row["dof"]: row for row in _table(path / "control.csv")} if known else {},
+        weights=weights,
+        reused=reused,
+        failed=(path / FAILED).is_file(),
+    )
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except OSError:
+        return ""
+
+
+def _table(path: Path) -> tuple[Mapping[str, str], ...]:
+    return tuple(csv.DictReader(_text(path).splitlines()))
 
 
 def _overrides(path: Path) -> dict[str, str]:
-    listed = OmegaConf.load(path / ".hydra" / "overrides.yaml")
-    pairs = (str(item).partition("=") for item in listed)
-    return {key.lstrip("+~"): value for key, _, value in pairs}
+    try:
+        listed = yaml.safe_load(_text(path / ".hydra" / "overrides.yaml"))
+    except yaml.YAMLError:  # Hydra is writing it just now
+        listed = None
+    return as_mapping(listed or [])
 
 
-def _seed(path: Path) -> str | None:
-    config = path / ".hydra" / "config.yaml"
-    seed = OmegaConf.select(OmegaConf.load(config), "seed") if config.is_file() else None
-    return None if seed is None else str(seed)
-
-
-def _label(path: Path) -> str | None:
-    report = path / "results.md"
-    if not report.is_file():
-        return None
-    heading = _HEADING.match(report.read_text(encoding="utf-8"))
-    return heading["label"] if heading else None
+def _weights(path: Path) -> tuple[str | None, bool | None]:
+    """Fingerprint of the weights and whether they were found instead of trained."""
+    try:
+        weights = json.loads(_text(path / "run.json") or "{}").get("weights") or {}
+    except json.JSONDecodeError:
+        return None, None
+    return weights.get("fingerprint"), weights.get("reused")
 
 
 def _results(path: Path) -> tuple[tuple[Mapping[str, str], ...], str | None]:
     """The rows, or why there are none; a job that failed may have left those of an earlier one."""
-    failed, table = path / FAILED, path / "results.csv"
-    if failed.is_file():
-        reason = " ".join(failed.read_text(encoding="utf-8").split())
-        return (), reason or "for a reason unknown"
-    if not table.is_file():
+    if (path / FAILED).is_file():
+        return (), " ".join(_text(path / FAILED).split()) or "for a reason unknown"
+    rows = _table(path / "results.csv")
+    if not rows:
         return (), UNFINISHED
-    with table.open(encoding="utf-8", newline="") as file:
-        rows = tuple(csv.DictReader(file))
-    missing = [column for column in COLUMNS if not rows or rows[0].get(column) is None]
+    missing = [column for column in COLUMNS if rows[0].get(column) is None]
     if missing:
         return (), f"results.csv has no {', '.join(missing)}: not written by this version of uncal"
+    try:
+        _ = [float(row[column]) for row in rows for column in _NUMBERS]
+    except (TypeError, ValueError) as error:
+        return (), f"results.csv is damaged: {error}"
     return rows, None

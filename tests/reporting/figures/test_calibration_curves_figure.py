@@ -1,17 +1,13 @@
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
 
-from uncal.errors import UncalError
 from uncal.geometry import DOF_NAMES
 from uncal.reporting.curve_rows import CurveRow
 from uncal.reporting.figures.calibration_curves import (
     calibration_curves,
-    read_curve,
     why_yardstick,
 )
 from uncal.reporting.figures.style import DOF_COLOURS, DOF_LINES, DOF_MARKERS
@@ -95,30 +91,3 @@ def test_why_the_band_is_no_promise() -> None:
     assert "rigs" in why_yardstick("exact", "frame", test="unseen")
     assert "promises no coverage" in why_yardstick("none", "frame")
     assert "by group" in why_yardstick("by group", "frame")
-
-
-def test_a_curve_reads_back(tmp_path: Path) -> None:
-    path = tmp_path / "calibration_curve.csv"
-    lines = [f"{dof},90.0,{j}.5,86.0,94.0,{j == 0}\n" for j, dof in enumerate(DOF_NAMES)]
-    path.write_text(COLUMNS + "".join(lines), encoding="utf-8")
-    rows = read_curve(path)
-    assert rows[0] == CurveRow("X", 90.0, 0.5, 86.0, 94.0, in_band=True)
-    assert rows[5] == CurveRow("Yaw", 90.0, 5.5, 86.0, 94.0, in_band=False)
-
-
-@pytest.mark.parametrize(
-    ("text", "reason"),
-    [
-        ("", "no row of Pitch, Roll, X, Y, Yaw, Z"),
-        (COLUMNS + "X,90.0,much,86.0,94.0,True\n", "much"),
-        (COLUMNS + "X,90.0\n", "expected a calibration curve"),
-        ("dof,level\nX,90.0\n", "no column 'picp'"),
-    ],
-)
-def test_a_damaged_curve_is_named_with_a_remedy(tmp_path: Path, text: str, reason: str) -> None:
-    path = tmp_path / "calibration_curve.csv"
-    path.write_text(text, encoding="utf-8")
-    with pytest.raises(UncalError, match=reason) as caught:
-        read_curve(path)
-    assert str(path) in str(caught.value)
-    assert "python -m uncal.evaluate" in str(caught.value)

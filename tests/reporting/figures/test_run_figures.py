@@ -15,7 +15,7 @@ from uncal.reporting.predictions import Predictions
 from uncal.reporting.report import measure, write_report
 from uncal.uncertainty import ConformalCalibrator
 
-NAMES = ["calibration_curves", "ordered_intervals", "width_against_error"]
+NAMES = ["calibration_curves", "joint_coverage", "ordered_intervals", "width_against_error"]
 
 
 def _predictions(n: int, seed: int) -> tuple[Tensor, Tensor, Tensor]:
@@ -52,7 +52,8 @@ def test_all_figures_of_a_run(run: Path) -> None:
 
 def test_missing_files_mean_fewer_figures(run: Path) -> None:
     (run / "predictions.csv").unlink()
-    assert [figure.name for figure in run_figures(run, "simulated")] == NAMES[:1]
+    assert [figure.name for figure in run_figures(run, "simulated")] == NAMES[:2]
+    (run / "joint.csv").unlink()
     (run / "calibration_curve.csv").unlink()
     assert run_figures(run, "simulated") == []
 

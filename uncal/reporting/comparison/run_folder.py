@@ -10,10 +10,10 @@ import torch
 
 from uncal.errors import UncalError
 from uncal.geometry import DOF_NAMES, DOF_SCALE
-from uncal.reporting.comparison.csv_rows import Row, read_rows
 from uncal.reporting.comparison.record import UNKNOWN, Record, read_record
 from uncal.reporting.conditional_rows import ConditionalRow
 from uncal.reporting.control_rows import ControlRow
+from uncal.reporting.csv_rows import Row, read_rows
 from uncal.reporting.curve_rows import CurveRow
 from uncal.reporting.joint_rows import JointRow
 from uncal.reporting.multirun_jobs import FAILED

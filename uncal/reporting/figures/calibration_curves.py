@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
-from pathlib import Path
 
 from matplotlib.axes import Axes
 
-from uncal.errors import UncalError
-from uncal.geometry import DOF_NAMES
 from uncal.reporting.curve_rows import CurveRow
 from uncal.reporting.figures.named import NamedFigure
 from uncal.reporting.figures.style import (
@@ -90,39 +86,6 @@ def calibration_curves(
     return NamedFigure(
         "calibration_curves", "Calibration curves", _caption(rows, yardstick), figure
     )
-
-
-def read_curve(path: Path) -> list[CurveRow]:
-    """Read a run's ``calibration_curve.csv``.
-
-    Args:
-        path: the file.
-
-    Raises:
-        UncalError: it is missing or damaged.
-    """
-    try:
-        with path.open(encoding="utf-8", newline="") as file:
-            rows = [
-                CurveRow(
-                    dof=cells["dof"],
-                    level=float(cells["level"]),
-                    picp=float(cells["picp"]),
-                    coverage_low=float(cells["coverage_low"]),
-                    coverage_high=float(cells["coverage_high"]),
-                    in_band=cells["in_band"] == "True",
-                )
-                for cells in csv.DictReader(file, strict=True)
-            ]
-        if missing := set(DOF_NAMES) - {row.dof for row in rows}:
-            raise ValueError(f"no row of {', '.join(sorted(missing))}")
-    except (OSError, KeyError, TypeError, ValueError, csv.Error) as error:
-        reason = f"no column {error}" if isinstance(error, KeyError) else str(error)
-        raise UncalError(
-            f"{path}: {reason}; expected a calibration curve as uncal writes it. Run "
-            "python -m uncal.evaluate ckpt=… with the run's checkpoint to write it again."
-        ) from error
-    return rows
 
 
 def _draw(

@@ -9,20 +9,23 @@ from pathlib import Path
 from omegaconf import OmegaConf
 
 from uncal import uncertainty
+from uncal.reporting.csv_rows import read_rows
+from uncal.reporting.curve_rows import CurveRow
 from uncal.reporting.figures.calibration_curves import (
     calibration_curves,
-    read_curve,
     why_yardstick,
 )
 from uncal.reporting.figures.columns import DofColumns, dof_columns
+from uncal.reporting.figures.joint_coverage import joint_coverage
 from uncal.reporting.figures.named import NamedFigure
 from uncal.reporting.figures.ordered_intervals import ordered_intervals
 from uncal.reporting.figures.width_against_error import width_against_error
+from uncal.reporting.joint_rows import JointRow
 from uncal.reporting.prediction_rows import read_predictions
 from uncal.reporting.predictions import promise_of
 from uncal.reporting.run_record import read_run
 
-CURVE, PREDICTIONS = "calibration_curve.csv", "predictions.csv"
+CURVE, JOINT, PREDICTIONS = "calibration_curve.csv", "joint.csv", "predictions.csv"
 
 
 def run_figures(folder: Path, label: str, yardstick: str | None = None) -> list[NamedFigure]:
@@ -66,7 +69,11 @@ def figure_makers(
     makers: dict[str, Callable[[], NamedFigure | None]] = {}
     if (folder / CURVE).exists():
         makers["calibration_curves"] = lambda: calibration_curves(
-            read_curve(folder / CURVE), label, yardstick
+            read_rows(folder / CURVE, CurveRow), label, yardstick
+        )
+    if (folder / JOINT).exists():
+        makers["joint_coverage"] = lambda: joint_coverage(
+            read_rows(folder / JOINT, JointRow), label, yardstick
         )
     if (folder / PREDICTIONS).exists():
         makers["ordered_intervals"] = lambda: ordered_intervals(columns(), label)

@@ -98,7 +98,7 @@ def _check_complete(rows: Sequence[object]) -> None:
     """Every level of the paper's table has its six DoF."""
     if not rows:
         raise ValueError("it has no rows")
-    results = [row for row in rows if isinstance(row, ResultRow)]
+    results = [row for row in rows if isinstance(row, ResultRow | CurveRow)]
     for level in dict.fromkeys(row.level for row in results):
         found = tuple(row.dof for row in results if row.level == level)
         if found != DOF_NAMES:

@@ -6,7 +6,9 @@ from pathlib import Path
 import pytest
 
 from uncal.errors import UncalError
-from uncal.reporting.comparison.csv_rows import read_rows
+from uncal.geometry import DOF_NAMES
+from uncal.reporting.csv_rows import read_rows
+from uncal.reporting.curve_rows import CurveRow
 from uncal.reporting.joint_rows import JointRow
 from uncal.reporting.rows import ResultRow
 from uncal.reporting.tables import COLUMNS
@@ -67,3 +69,13 @@ def test_bytes_that_are_no_text(tmp_path: Path) -> None:
     path.write_bytes(b"\xff\xfe\x00dof")
     with pytest.raises(UncalError, match="is damaged"):
         read_rows(path, ResultRow)
+
+
+def test_a_calibration_curve_reads_back_and_a_missing_dof_is_named(tmp_path: Path) -> None:
+    header = "dof,level,picp,coverage_low,coverage_high,in_band"
+    lines = [f"{dof},90.0,{j}.5,86.0,94.0,{j == 0}" for j, dof in enumerate(DOF_NAMES)]
+    rows = read_rows(_file(tmp_path, header, *lines), CurveRow)
+    assert rows[0] == CurveRow("X", 90.0, 0.5, 86.0, 94.0, in_band=True)
+    assert rows[5] == CurveRow("Yaw", 90.0, 5.5, 86.0, 94.0, in_band=False)
+    with pytest.raises(UncalError, match=r"90% has rows for X, Y, Z, Roll, Pitch, not for"):
+        read_rows(_file(tmp_path, header, *lines[:-1]), CurveRow)

@@ -1,0 +1,73 @@
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from uncal.reporting.figures.joint_coverage import joint_coverage
+from uncal.reporting.joint_rows import JointRow
+
+
+def row(level: float, together: float, joint: float | None) -> JointRow:
+    boxes: dict[str, Any] = {"joint": joint, "joint_low": None, "joint_high": None}
+    if joint is not None:
+        boxes |= {"joint_low": level - 8, "joint_high": level + 4}
+    return JointRow(
+        level=level,
+        together=together,
+        **boxes,
+        joint_in_band=None if joint is None else True,
+        bonferroni=None if joint is None else 99.0,
+        bonferroni_size=None,
+        n_test=200,
+        n_calibration=300,
+    )
+
+
+ROWS = [row(90.0, 67.0, 91.5), row(50.0, 11.0, 52.0), row(95.0, 80.0, 95.5)]
+
+
+def test_curves_are_drawn_in_the_order_of_the_levels() -> None:
+    (panel,) = joint_coverage(ROWS, "simulated", "").figure.axes
+    drawn = {str(line.get_label()): line for line in panel.get_lines()}
+    for name, values in (
+        ("six intervals at once", [11.0, 67.0, 80.0]),
+        ("joint box", [52.0, 91.5, 95.5]),
+        ("Bonferroni box", [99.0, 99.0, 99.0]),
+    ):
+        assert list(drawn[name].get_xdata()) == [50.0, 90.0, 95.0]
+        assert list(drawn[name].get_ydata()) == values
+    assert panel.get_xlabel() == "Coverage asked for (%)"
+    assert panel.get_ylim() == (0, 100)
+
+
+def test_the_band_is_that_of_the_joint_box() -> None:
+    (panel,) = joint_coverage(ROWS, "simulated", "").figure.axes
+    (band,) = panel.collections
+    corners = {(float(x), float(y)) for x, y in band.get_paths()[0].vertices}
+    assert {(50.0, 42.0), (50.0, 54.0), (90.0, 82.0), (95.0, 99.0)} <= corners
+    assert band.get_label() == "allowed for the joint box"
+
+
+@pytest.mark.parametrize(
+    ("yardstick", "words"),
+    [
+        ("", "at 99.9 %."),
+        (None, "if frames are exchangeable"),
+        ("by rig", "yardstick here: by rig"),
+    ],
+)
+def test_the_caption_gives_the_numbers_and_what_the_band_is(
+    yardstick: str | None, words: str
+) -> None:
+    caption = joint_coverage(ROWS, "simulated", yardstick).caption
+    assert "200 test frames, all six 90 % intervals hold at once in 67.0 %" in caption
+    assert "the joint box in 91.5 %" in caption
+    assert words in caption
+
+
+def test_without_boxes_there_is_one_curve() -> None:
+    (panel,) = joint_coverage([row(90.0, 67.0, None)], "simulated", None).figure.axes
+    labels = [str(line.get_label()) for line in panel.get_lines()]
+    assert labels.count("six intervals at once") == 1
+    assert "joint box" not in labels
