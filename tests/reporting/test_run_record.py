@@ -47,8 +47,10 @@ def test_a_run_that_begins_again_is_not_finished(tmp_path: Path) -> None:
     first.write(mean_ratio=0.5)
     (tmp_path / "results.csv").write_text("dof\n")
     again = record(tmp_path)
+    (tmp_path / "notes.txt").write_text("mine")
     again.begin()
     assert record(tmp_path).finished_earlier() is None
+    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
 
 
 @pytest.mark.parametrize("damage", ["", "{", "[]"])

@@ -60,7 +60,7 @@ def share_cores(config: DictConfig, planned: Sequence[Mapping[str, str]] | None)
     )
     if threads is not None and THREADS not in os.environ:
         os.environ[THREADS] = str(threads)
-        log.info("%d thread(s) per job; %s says otherwise", threads, THREADS)
+        log.info("%d thread(s) per job; set %s for another number", threads, THREADS)
 
 
 def threads_per_job(

@@ -18,6 +18,17 @@ log = logging.getLogger(__name__)
 
 NAME = "run.json"
 
+TABLES: tuple[str, ...] = (
+    "results.csv",
+    "results.md",
+    "joint.csv",
+    "conditional.csv",
+    "calibration_curve.csv",
+    "control.csv",
+    "predictions.csv",
+)
+"""What a run writes beside its record."""
+
 
 class RunRecord:
     """Begins with a run and is written when its results are.
@@ -57,8 +68,12 @@ class RunRecord:
         }
 
     def begin(self) -> None:
-        """Take away the record of an earlier run, whose results will be replaced."""
-        self.path.unlink(missing_ok=True)
+        """Take away what an earlier run of other settings left in the folder.
+
+        Its tables would pass for this run's until this one ends, or for good if it does not.
+        """
+        for name in (NAME, *TABLES):
+            (self.path.parent / name).unlink(missing_ok=True)
 
     def finished_earlier(self) -> Mapping[str, object] | None:
         """The record of a run that asked the same and ended, in the same folder; None without."""

@@ -1,0 +1,69 @@
+"""Whole multiruns by parallel launchers, as a user starts them; one of the jobs fails."""
+
+from __future__ import annotations
+
+import csv
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from uncal.geometry import DOF_NAMES
+
+pytestmark = pytest.mark.slow
+
+TINY = [
+    "dataset.simulation.n_rigs=10",
+    "dataset.simulation.frames_per_drive=4",
+    "dataset.simulation.camera.supersampling=1",
+    "dataset.simulation.lidar.beams=32",
+    "dataset.loader.batch_size=4",
+    "trainer.max_epochs=1",
+    "trainer.accelerator=cpu",
+    "interval.levels=[0.5]",
+    "callbacks.overlays=null",
+]
+
+SWEPT = ("-m", "mcd.passes=2,0,3")
+
+
+def multirun(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    environment = os.environ | {"COLUMNS": "110"}
+    environment.pop("OMP_NUM_THREADS", None)  # so that the multirun shares the cores itself
+    return subprocess.run(
+        [sys.executable, "-m", "uncal.train", *SWEPT, *TINY, *arguments, "hydra.sweep.dir=many"],
+        cwd=folder,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=600,
+        check=False,
+    )
+
+
+@pytest.mark.parametrize(
+    "launcher",
+    [("hydra/launcher=joblib", "hydra.launcher.n_jobs=2"), ("hydra/launcher=submitit_local",)],
+    ids=["joblib", "submitit_local"],
+)
+def test_parallel_jobs_end_as_those_in_turn_do(launcher: tuple[str, ...], tmp_path: Path) -> None:
+    finished = multirun(tmp_path, *launcher)
+    assert finished.returncode == 1, finished.stderr[-4000:]
+    assert "0 stochastic passes" in finished.stderr
+    assert "thread(s) per job" in finished.stdout
+
+    many = tmp_path / "many"
+    with (many / "summary.csv").open(encoding="utf-8") as file:
+        table = list(csv.DictReader(file))
+    assert [(row["mcd.passes"], row["dof"]) for row in table] == [
+        (passes, dof) for passes in ("2", "3") for dof in DOF_NAMES
+    ]
+    text = (many / "summary.md").read_text(encoding="utf-8")
+    assert f"python -m uncal.train {' '.join(SWEPT)}" in text
+    assert "Jobs: 3, with results: 2." in text
+    assert "- `1` (mcd.passes=0): 0 stochastic passes" in text
+    assert "![Interval score against stochastic passes](figures/interval_score.png)" in text
+    assert (many / "figures" / "interval_score.pdf").is_file()
+    assert not list(tmp_path.rglob("*.partial"))
