@@ -63,7 +63,8 @@ def joint_coverage(
         panel.set_ylim(0 if low < 60 else min(low, *(row.together for row in rows)) - 5, 100)
         panel.set_xlabel("Coverage asked for (%)")
         panel.set_ylabel("Whole pose held (%)")
-        panel.legend(loc="lower right" if low >= 60 else "upper left")
+        # Above, since no corner is free of curves whatever the levels are.
+        figure.legend(loc="outside upper center", ncols=2)
     return NamedFigure("joint_coverage", "The whole pose", _caption(rows, yardstick), figure)
 
 
