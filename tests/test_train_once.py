@@ -30,7 +30,7 @@ TINY = [
 
 
 def command(*overrides: str) -> list[str]:
-    return [sys.executable, "-m", "uncal.train", *TINY, *overrides]
+    return [sys.executable, "-m", "uncal.train", *overrides, *TINY]
 
 
 def train(cwd: Path, *overrides: str) -> str:

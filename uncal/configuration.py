@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import logging
+import os
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -99,7 +100,9 @@ def job_overrides() -> list[str]:
         for source in hydra.runtime.config_sources
         if source.provider == "command-line" and source.schema == "file"
     ]
-    return [*(part for path in folders for part in ("-cd", path)), *hydra.overrides.task]
+    # As one would type it: Hydra has made the path absolute.
+    typed = [os.path.relpath(path) for path in folders]
+    return [*(part for path in typed for part in ("-cd", path)), *hydra.overrides.task]
 
 
 def in_multirun() -> bool:

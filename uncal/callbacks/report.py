@@ -96,8 +96,7 @@ def run_notes(module: CalibrationModule, data: CalibrationDataModule) -> list[st
     """
     sizes = ", ".join(f"{len(ids)} {name.replace('_', ' ')}" for name, ids in data.splits.items())
     notes = [
-        f"Split by {data.split_by}: {sizes} frames. {module.engine.passes} stochastic passes with "
-        f"{'fresh' if module.masks is None else 'fixed'} masks, intervals of kind "
+        f"Split by {data.split_by}: {sizes} frames. {_passes(module)}, intervals of kind "
         f"{module.calibrator.kind}, seed {data.seed}, uncal {__version__}.",
     ]
     if data.split_note:
@@ -117,6 +116,13 @@ def run_notes(module: CalibrationModule, data: CalibrationDataModule) -> list[st
         )
     notes += module.provenance
     return notes
+
+
+def _passes(module: CalibrationModule) -> str:
+    if module.engine.passes == 1:
+        return "One pass without dropout"
+    masks = "fresh" if module.masks is None else "fixed"
+    return f"{module.engine.passes} stochastic passes with {masks} masks"
 
 
 def skip_notes(skipped: Mapping[str, str], shown: int = 10) -> list[str]:
