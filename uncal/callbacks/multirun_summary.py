@@ -92,10 +92,12 @@ class MultirunSummary(Callback):
         if not self.figures or _modified(table) <= _modified(captions(config)):
             return
         # Matplotlib takes a second to import, and most jobs do not draw.
+        from uncal.reporting.figures.board import show_in_tensorboard
         from uncal.reporting.figures.sweep_figures import draw_sweep_figures
 
         try:
-            draw_sweep_figures(Path(config.hydra.sweep.dir))
+            pictures = draw_sweep_figures(Path(config.hydra.sweep.dir))
+            show_in_tensorboard(pictures, table.with_name(FIGURES))
         except Exception:
             log.exception("the figures of %s were not drawn", config.hydra.sweep.dir)
         self._write(config)  # shows them

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import pytest
 
 from uncal.reporting.figures.joint_coverage import joint_coverage
@@ -35,8 +36,8 @@ def test_curves_are_drawn_in_the_order_of_the_levels() -> None:
         ("joint box", [52.0, 91.5, 95.5]),
         ("Bonferroni box", [99.0, 99.0, 99.0]),
     ):
-        assert list(drawn[name].get_xdata()) == [50.0, 90.0, 95.0]
-        assert list(drawn[name].get_ydata()) == values
+        assert np.asarray(drawn[name].get_xdata()).tolist() == [50.0, 90.0, 95.0]
+        assert np.asarray(drawn[name].get_ydata()).tolist() == values
     assert panel.get_xlabel() == "Coverage asked for (%)"
     assert panel.get_ylim() == (0, 100)
 
@@ -44,7 +45,8 @@ def test_curves_are_drawn_in_the_order_of_the_levels() -> None:
 def test_the_band_is_that_of_the_joint_box() -> None:
     (panel,) = joint_coverage(ROWS, "simulated", "").figure.axes
     (band,) = panel.collections
-    corners = {(float(x), float(y)) for x, y in band.get_paths()[0].vertices}
+    vertices = np.asarray(band.get_paths()[0].vertices, dtype=float)
+    corners = {(float(x), float(y)) for x, y in vertices}
     assert {(50.0, 42.0), (50.0, 54.0), (90.0, 82.0), (95.0, 99.0)} <= corners
     assert band.get_label() == "allowed for the joint box"
 
