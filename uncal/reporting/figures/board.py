@@ -18,10 +18,8 @@ def show_in_tensorboard(pictures: Sequence[Path], folder: Path) -> None:
     """
     for earlier in folder.glob("events.out.tfevents.*"):
         earlier.unlink(missing_ok=True)
-    with SummaryWriter(str(folder)) as writer:  # type: ignore[no-untyped-call]
+    with SummaryWriter(str(folder)) as writer:
         for path in pictures:
             picture = cv2.imread(str(path))
             if picture is not None:
-                writer.add_image(  # type: ignore[no-untyped-call]
-                    f"multirun/{path.stem}", picture[:, :, ::-1], dataformats="HWC"
-                )
+                writer.add_image(f"multirun/{path.stem}", picture[:, :, ::-1], dataformats="HWC")
