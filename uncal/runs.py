@@ -14,10 +14,10 @@ from uncal.configuration import in_multirun, job_folder, job_overrides
 from uncal.data.datamodule import CalibrationDataModule
 from uncal.models.module import CalibrationModule
 from uncal.reporting.run_record import RunRecord, command_line
+from uncal.uncertainty.pass_memory import PassMemory
 from uncal.weights.digest import digest_of, digest_of_code
 from uncal.weights.ingredients import pass_ingredients
 from uncal.weights.obtain import Weights
-from uncal.weights.pass_memory import PassMemory
 
 log = logging.getLogger(__name__)
 
@@ -91,8 +91,8 @@ def remember_passes(
     """
     if config.store is None or trainer.world_size > 1 or module.masks is not None:
         return
-    ingredients = pass_ingredients(config, data, module, trainer)
-    memory = PassMemory(Path(config.store) / "passes", ingredients, config.mcd.passes)
+    named = digest_of(pass_ingredients(config, data, module, trainer))
+    memory = PassMemory(Path(config.store) / "passes" / named, config.mcd.passes)
     if config.get("retrain"):
         memory.forget()
     module.remember(memory)

@@ -25,7 +25,7 @@ from uncal.uncertainty.calibrator import IntervalCalibrator
 from uncal.uncertainty.gather import gather_by_id
 from uncal.uncertainty.masks import FixedMasks
 from uncal.uncertainty.mc_dropout import MCDropout, Prediction
-from uncal.weights.pass_memory import PassMemory
+from uncal.uncertainty.pass_memory import PassMemory
 
 NOT_LEARNT = ("calibrator.", "masks.")
 """Parts of the state that no training changes."""

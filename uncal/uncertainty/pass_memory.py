@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import torch
 from torch import Tensor
-
-from uncal.weights.digest import digest_of
 
 log = logging.getLogger(__name__)
 
@@ -23,13 +21,12 @@ class PassMemory:
     through the network together.
 
     Args:
-        folder: where passes are kept; made when the first are.
-        ingredients: everything but their number that decides what passes give.
+        folder: where the passes of these weights, and of no others, are kept; made when needed.
         passes: how many are wanted.
     """
 
-    def __init__(self, folder: Path, ingredients: Mapping[str, object], passes: int) -> None:
-        self.folder = folder / digest_of(ingredients)
+    def __init__(self, folder: Path, passes: int) -> None:
+        self.folder = folder
         self.passes = passes
         self.recalled: dict[str, int] = {}
         self.computed: dict[str, int] = {}

@@ -3,10 +3,9 @@ from pathlib import Path
 import pytest
 import torch
 
+from uncal.uncertainty.pass_memory import PassMemory
 from uncal.uncertainty.prediction import Prediction
-from uncal.weights.pass_memory import PassMemory
 
-INGREDIENTS = {"weights": "abc"}
 FRAMES = ["a", "b", "c"]
 
 
@@ -17,7 +16,7 @@ def samples(passes: int) -> torch.Tensor:
 
 
 def memory(folder: Path, passes: int, weights: str = "abc") -> PassMemory:
-    return PassMemory(folder, {**INGREDIENTS, "weights": weights}, passes)
+    return PassMemory(folder / weights, passes)
 
 
 @pytest.fixture
