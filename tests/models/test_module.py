@@ -1,3 +1,6 @@
+from pathlib import Path
+from unittest.mock import patch
+
 import pytest
 import torch
 from torch import Tensor, nn
@@ -14,6 +17,7 @@ from uncal.models.prediction import SplitPrediction, frame_seed
 from uncal.models.unical import UniCal
 from uncal.recordings.frame import FrameId
 from uncal.uncertainty import ConformalCalibrator, MCDropout
+from uncal.uncertainty.pass_memory import PassMemory
 
 RANGE = DecalibrationRange(rotation_deg=1.0, translation_cm=10.0)
 
@@ -175,3 +179,23 @@ def test_losses_by_hand() -> None:
     assert displacement_loss(flow, torch.zeros(1, 3, 2), seen).item() == pytest.approx(21 / 4)
     ratio = relative_error(torch.full((4, 6), 0.5), torch.ones(4, 6))
     assert ratio.tolist() == [0.5] * 6
+
+
+def test_passes_that_are_known_are_not_run_again(tmp_path: Path) -> None:
+    subject, batch = module(unical("correlation", "geometric")), network_input(3)
+    subject.eval()
+    whole = subject.stochastic(batch, "test")
+    runs: list[int] = []
+    for passes in (2, 5, 3):
+        subject.engine.passes = passes
+        memory = PassMemory(tmp_path, passes)
+        subject.remember(memory)
+        with patch.object(subject.engine, "sampler", wraps=subject.engine.sampler) as sampler:
+            found = subject.stochastic(batch, "test")
+        runs += [passes - call.kwargs.get("first", 0) for call in sampler.call_args_list]
+        memory.save()
+        assert found.passes == passes
+        if passes == 5:
+            torch.testing.assert_close(found.mean, whole.mean, rtol=1e-4, atol=1e-6)
+            torch.testing.assert_close(found.std, whole.std, rtol=1e-3, atol=1e-6)
+    assert runs == [2, 3]  # two, three more, and three of those five

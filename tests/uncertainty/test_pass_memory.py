@@ -40,8 +40,14 @@ def test_many_passes_answer_for_fewer(kept: Path, passes: int) -> None:
     assert again.origin("test") == "reused"
 
 
-def test_too_few_passes_other_weights_other_splits_and_new_frames_are_not_known(kept: Path) -> None:
-    assert memory(kept, 5).recall("test", FRAMES) is None
+def test_fewer_passes_are_given_and_other_weights_other_splits_and_new_frames_are_not_known(
+    kept: Path,
+) -> None:
+    fewer = memory(kept, 5)
+    found = fewer.recall("test", FRAMES)
+    assert found is not None
+    assert len(found) == 4
+    assert fewer.origin("test") == "computed"
     assert memory(kept, 4, weights="xyz").recall("test", FRAMES) is None
     assert memory(kept, 4).recall("uncertainty_calibration", FRAMES) is None
     assert memory(kept, 4).recall("test", ["a", "d"]) is None

@@ -130,9 +130,13 @@ class CalibrationModule(lightning.LightningModule):
             return self.engine(*batch[:4], seed=seeds)
         names = [str(frame) for frame in batch.frames]
         known = self.memory.recall(split, names)
-        if known is not None:
+        if known is not None and len(known) == self.engine.passes:
             return Prediction.of(known.to(batch.x.device))
-        prediction = self.engine(*batch[:4], seed=seeds)
+        prediction = (
+            self.engine(*batch[:4], seed=seeds)
+            if known is None
+            else self.engine.extend(known.to(batch.x.device), *batch[:4], seed=seeds)
+        )
         if prediction.samples is not None:
             self.memory.remember(split, names, prediction.samples)
         return prediction

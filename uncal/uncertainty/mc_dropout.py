@@ -15,6 +15,7 @@ from uncal.uncertainty.fingerprint import PredictorIdentity
 from uncal.uncertainty.masks import FixedMasks, row_seeds
 from uncal.uncertainty.passes import Arguments, Passes
 from uncal.uncertainty.prediction import Prediction
+from uncal.uncertainty.stochastic_layers import StochasticLayers
 
 __all__ = ["MCDropout", "Prediction"]
 
@@ -138,18 +139,42 @@ class MCDropout:
         self._check_spread(prediction, samples)
         return prediction
 
+    def extend(
+        self, known: Tensor, *args: object, seed: Sequence[int], **kwargs: object
+    ) -> Prediction:
+        """Run only those passes that are not known yet: N answer after n with N - n more.
+
+        Args:
+            known: (n, B, D) the first passes of the same inputs and seeds, n < N.
+            *args: the network's arguments, as in a call.
+            seed: of each row, as in a call.
+            **kwargs: the network's keyword arguments.
+
+        Returns:
+            What a call says, up to rounding; with its samples. Where layers draw random numbers of
+            their own, passes have no number, and all of them are run.
+        """
+        first = 0 if self._draws_itself() else len(known)
+        samples = self.sampler(*args, seed=seed, first=first, **kwargs)().clone()
+        return Prediction.of(torch.cat([known[:first].to(samples), samples]), keep=True)
+
     def sampler(
-        self, *args: object, seed: int | Sequence[int] | None = None, **kwargs: object
+        self,
+        *args: object,
+        seed: int | Sequence[int] | None = None,
+        first: int = 0,
+        **kwargs: object,
     ) -> Callable[[], Tensor]:
         """The passes alone, to be run again and again on the same tensors (as a CUDA graph, say).
 
         Args:
             *args: the network's arguments, as in a call.
             seed: as in a call.
+            first: number of the first pass to run.
             **kwargs: the network's keyword arguments.
 
         Returns:
-            A function that gives the (N, B, D) passes.
+            A function that gives the (N - first, B, D) passes.
         """
         arguments = Arguments.of(args, kwargs)
         active = self._active_layers()
@@ -158,7 +183,7 @@ class MCDropout:
         def sample() -> Tensor:
             with torch.inference_mode(), only_active(self.network, list(active.values())), run:
                 strategy, chunk = self._plan(run, arguments)
-                return run.sample(strategy, chunk, range(self.passes), arguments)
+                return run.sample(strategy, chunk, range(first, self.passes), arguments)
 
         return sample
 
@@ -177,6 +202,9 @@ class MCDropout:
                 "some in with uncal.uncertainty.insert_dropout."
             )
         return active
+
+    def _draws_itself(self) -> bool:
+        return bool(StochasticLayers(self._active_layers(), self.masks).own)
 
     def _row_seeds(self, seed: int | Sequence[int] | None, arguments: Arguments) -> Tensor:
         """(B,) on the inputs' device."""

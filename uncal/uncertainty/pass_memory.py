@@ -41,14 +41,17 @@ class PassMemory:
             frames: their names.
 
         Returns:
-            (N, B, D), or None unless enough of all of them are known.
+            (n, B, D), the first n ≤ N passes, as many as are known of all of them; None if of one
+            of them none is.
         """
         known = self._of(split)
         found = [known[frame] for frame in frames if frame in known]
-        if len(found) < len(frames) or any(len(samples) < self.passes for samples in found):
+        if len(found) < len(frames):
             return None
-        self.recalled[split] = self.recalled.get(split, 0) + len(frames)
-        return torch.stack([samples[: self.passes] for samples in found], dim=1)
+        passes = min(self.passes, *map(len, found))
+        if passes == self.passes:
+            self.recalled[split] = self.recalled.get(split, 0) + len(frames)
+        return torch.stack([samples[:passes] for samples in found], dim=1)
 
     def remember(self, split: str, frames: Sequence[str], samples: Tensor) -> None:
         """Take note of passes; :meth:`save` writes them.
