@@ -190,9 +190,9 @@ def test_passes_that_are_known_are_not_run_again(tmp_path: Path) -> None:
         subject.engine.passes = passes
         memory = PassMemory(tmp_path, passes)
         subject.remember(memory)
-        with patch.object(subject.engine, "sampler", wraps=subject.engine.sampler) as sampler:
+        with patch.object(subject.engine, "_sampler", wraps=subject.engine._sampler) as sampler:
             found = subject.stochastic(batch, "test")
-        runs += [passes - call.kwargs.get("first", 0) for call in sampler.call_args_list]
+        runs += [passes - call.args[2] for call in sampler.call_args_list]
         memory.save()
         assert found.passes == passes
         if passes == 5:

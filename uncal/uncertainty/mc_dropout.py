@@ -155,28 +155,27 @@ class MCDropout:
             their own, passes have no number, and all of them are run.
         """
         first = 0 if self._draws_itself() else len(known)
-        samples = self.sampler(*args, seed=seed, first=first, **kwargs)().clone()
+        samples = self._sampler(Arguments.of(args, kwargs), seed, first)().clone()
         return Prediction.of(torch.cat([known[:first].to(samples), samples]), keep=True)
 
     def sampler(
-        self,
-        *args: object,
-        seed: int | Sequence[int] | None = None,
-        first: int = 0,
-        **kwargs: object,
+        self, *args: object, seed: int | Sequence[int] | None = None, **kwargs: object
     ) -> Callable[[], Tensor]:
         """The passes alone, to be run again and again on the same tensors (as a CUDA graph, say).
 
         Args:
             *args: the network's arguments, as in a call.
             seed: as in a call.
-            first: number of the first pass to run.
             **kwargs: the network's keyword arguments.
 
         Returns:
-            A function that gives the (N - first, B, D) passes.
+            A function that gives the (N, B, D) passes.
         """
-        arguments = Arguments.of(args, kwargs)
+        return self._sampler(Arguments.of(args, kwargs), seed, 0)
+
+    def _sampler(
+        self, arguments: Arguments, seed: int | Sequence[int] | None, first: int
+    ) -> Callable[[], Tensor]:
         active = self._active_layers()
         run = Passes(_plain(self.network), active, self.masks, self._row_seeds(seed, arguments))
 
