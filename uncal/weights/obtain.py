@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -76,7 +77,8 @@ def obtain(
         # Its leader holds the lock and waits for it; both see the same files.
         found = None if retrain else store.find()
         if found is None:
-            return Weights(train(store.interrupted()), store.fingerprint, False, None)
+            start = None if retrain else store.interrupted()
+            return Weights(train(start), store.fingerprint, False, None)
         return Weights(store.checkpoint, store.fingerprint, True, found)
     with store.locked():
         found = None if retrain else store.find()
@@ -88,14 +90,14 @@ def obtain(
         if start is not None:
             log.info("going on with the interrupted training of %s", start)
         store.begin(start or last)
-        began = time.monotonic()
+        commit, began = commit_of_code(), time.monotonic()
         best = train(start)
         trained = Trained(
             seconds=round(time.monotonic() - began, 1),
             epochs=epochs,
             finished=datetime.now().isoformat(timespec="seconds"),
-            run=str(run),
-            commit=commit_of_code(),
+            run=os.path.relpath(run),
+            commit=commit,
         )
         store.keep(best, trained)
         return Weights(best, store.fingerprint, False, trained)
