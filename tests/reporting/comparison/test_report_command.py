@@ -204,7 +204,7 @@ def test_figures_of_the_folder_or_drawn_from_its_tables(page: Page, folders: lis
     assert data[0] == stored
     assert images[0]["alt"] == "Calibration <curve>"
     assert images[0]["style"] == "width: 2.00in"
-    assert len(images) == 3  # the old run's tables allow its calibration curves
+    assert len(images) == 4  # the old run's tables allow its calibration curves and joint coverage
     assert all(each.startswith(b"\x89PNG") for each in data)
     assert "How to read it." in page.text
 
