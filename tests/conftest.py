@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import logging
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 # Before torch is imported: tests run side by side, and so do the processes that they start.
@@ -137,3 +139,12 @@ def kitti_frames(kitti_root: Path) -> list[Frame]:
     """Every eighth of the real KITTI frames."""
     recording = KittiRaw(kitti_root, stride=8)
     return [recording.load(frame_id) for frame_id in recording.frame_ids]
+
+
+@pytest.fixture(autouse=True)
+def _loggers_stay_enabled() -> Iterator[None]:
+    """Hydra, started within a test with its logging disabled, disables every logger there is."""
+    yield
+    for logger in logging.Logger.manager.loggerDict.values():
+        if isinstance(logger, logging.Logger):
+            logger.disabled = False

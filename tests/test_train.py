@@ -46,6 +46,11 @@ def run(module: str, *overrides: str, cwd: Path) -> subprocess.CompletedProcess[
     )
 
 
+def heed_interrupts() -> None:
+    """What a shell starts in the background ignores Ctrl-C, and so would what the tests start."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 def train(cwd: Path, folder: str, *overrides: str) -> subprocess.CompletedProcess[str]:
     return run("uncal.train", *TINY, f"hydra.run.dir={folder}", *overrides, cwd=cwd)
 
@@ -208,7 +213,11 @@ def test_an_interrupted_run_says_how_to_go_on_and_its_checkpoint_loads(
     last = workplace / "stopped" / "checkpoints" / "last.ckpt"
     command = [sys.executable, "-m", "uncal.train", *TINY, "hydra.run.dir=stopped"]
     started = subprocess.Popen(
-        [*command, "trainer.max_epochs=400"], cwd=workplace, stderr=subprocess.PIPE, text=True
+        [*command, "trainer.max_epochs=400"],
+        cwd=workplace,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=heed_interrupts,
     )
     deadline = time.monotonic() + 300
     while not last.exists() and started.poll() is None and time.monotonic() < deadline:

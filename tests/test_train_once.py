@@ -33,6 +33,11 @@ def command(*overrides: str) -> list[str]:
     return [sys.executable, "-m", "uncal.train", *overrides, *TINY]
 
 
+def heed_interrupts() -> None:
+    """What a shell starts in the background ignores Ctrl-C, and so would what the tests start."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 def train(cwd: Path, *overrides: str) -> str:
     """Everything that a run says; fails the test if the run fails."""
     done = subprocess.run(
@@ -123,6 +128,7 @@ def test_an_interrupted_training_goes_on_and_ends_with_the_same_weights(
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         text=True,
+        preexec_fn=heed_interrupts,
     )
     deadline = time.monotonic() + 300
     while not last.exists() and started.poll() is None and time.monotonic() < deadline:

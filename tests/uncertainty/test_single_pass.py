@@ -1,4 +1,3 @@
-import pytest
 import torch
 from torch import nn
 
@@ -50,6 +49,7 @@ def test_intervals_from_absolute_errors_need_no_spread() -> None:
     calibrator = AbsoluteCalibrator()
     calibrator.fit(prediction.mean, prediction.std, target, identity=engine.identity())
     intervals = calibrator.predict(prediction.mean, prediction.std, 0.9)
-    inside = (intervals.lower <= target) & (target <= intervals.upper)
+    rounding = 1e-5  # one of the samples lies on the bound itself
+    inside = (intervals.lower - rounding <= target) & (target <= intervals.upper + rounding)
     # Of the very samples that it was fitted with, ⌈51 · 0.9⌉ = 46 lie inside.
-    assert inside.sum(0).tolist() == pytest.approx([46] * 6)
+    assert inside.sum(0).tolist() == [46] * 6
