@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Iterator
 from pathlib import Path
 
 # Before torch is imported: tests run side by side, and so do the processes that they start.
@@ -142,9 +141,8 @@ def kitti_frames(kitti_root: Path) -> list[Frame]:
 
 
 @pytest.fixture(autouse=True)
-def _loggers_stay_enabled() -> Iterator[None]:
-    """Hydra, started within a test with its logging disabled, disables every logger there is."""
-    yield
+def _loggers_are_enabled() -> None:
+    """Hydra, started within an earlier test with its logging disabled, disabled every logger."""
     for logger in logging.Logger.manager.loggerDict.values():
         if isinstance(logger, logging.Logger):
             logger.disabled = False
