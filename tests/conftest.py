@@ -141,8 +141,10 @@ def kitti_frames(kitti_root: Path) -> list[Frame]:
 
 
 @pytest.fixture(autouse=True)
-def _loggers_are_enabled() -> None:
-    """Hydra, started within an earlier test with its logging disabled, disabled every logger."""
+def _logging_as_python_starts_it() -> None:
+    """Hydra, started within an earlier test, changed it for the whole process."""
+    logging.disable(logging.NOTSET)
+    logging.getLogger().setLevel(logging.WARNING)
     for logger in logging.Logger.manager.loggerDict.values():
         if isinstance(logger, logging.Logger):
             logger.disabled = False

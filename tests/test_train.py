@@ -134,6 +134,7 @@ def evaluate(cwd: Path, folder: str, *overrides: str) -> list[dict[str, str]]:
         "uncal.evaluate",
         "ckpt=first/checkpoints/best.ckpt",
         f"hydra.run.dir={folder}",
+        "callbacks.figures=null",
         *overrides,
         cwd=cwd,
     )

@@ -24,6 +24,8 @@ TINY = [
     "trainer.accelerator=cpu",
     "interval.levels=[0.5]",
     "callbacks.overlays=null",
+    "callbacks.figures=null",
+    "callbacks.interval_overlays=null",
 ]
 
 SWEPT = ("-m", "mcd.passes=2,0,3")
