@@ -136,7 +136,7 @@ def test_an_interrupted_training_goes_on_and_ends_with_the_same_weights(
     started.send_signal(signal.SIGINT)
     _, stderr = started.communicate(timeout=120)
     assert started.returncode != 0, stderr
-    assert "the same command goes on after the last finished epoch" in stderr
+    assert "go on after the last finished epoch with the same command" in stderr
 
     said = train(workplace, "mcd.passes=4", other, "hydra.run.dir=resumed")
     assert "going on with the interrupted training" in said

@@ -17,6 +17,7 @@ from uncal.configuration import CONFIG_DIR, exits_on_error, quiet_libraries
 from uncal.memory import keep_freed_memory
 from uncal.runs import finished_earlier, keep_results, make_record, remember_passes
 from uncal.weights.digest import digest_of_file
+from uncal.weights.ingredients import data_ingredients
 from uncal.weights.obtain import Weights
 
 log = logging.getLogger(__name__)
@@ -66,7 +67,8 @@ def main(config: DictConfig) -> float:
     same = run.interval == recipe.interval and run.mcd.seed == recipe.mcd.seed
     load_weights(module, weights.path, calibrated=same)
     module.provenance.append(weights.sentence())
-    remember_passes(run, data, module, trainer)
+    if run.store is not None:
+        remember_passes(run, module, trainer, data_ingredients(run, data))
     trainer.test(module, datamodule=data, verbose=False)
     if trainer.is_global_zero:
         keep_results(record, trainer, module, weights)

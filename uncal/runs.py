@@ -11,7 +11,6 @@ from omegaconf import DictConfig
 
 from uncal.callbacks.report import Report
 from uncal.configuration import in_multirun, job_folder, job_overrides
-from uncal.data.datamodule import CalibrationDataModule
 from uncal.models.module import CalibrationModule
 from uncal.reporting.run_record import RunRecord, command_line
 from uncal.uncertainty.pass_memory import PassMemory
@@ -42,7 +41,7 @@ def make_record(
         "weights": dict(weights),
         "settings": module.recipe,
         "levels": [float(level) for level in config.interval.levels],
-        "code": digest_of_code(["."]),
+        "code": digest_of_code((".",)),
     }
     return RunRecord(
         folder=job_folder(),
@@ -74,9 +73,9 @@ def finished_earlier(record: RunRecord, retrain: bool) -> float | None:
 
 def remember_passes(
     config: DictConfig,
-    data: CalibrationDataModule,
     module: CalibrationModule,
     trainer: lightning.Trainer,
+    shared: Mapping[str, object],
 ) -> None:
     """Keep the stochastic passes of trained weights, and use those that are kept already.
 
@@ -85,13 +84,13 @@ def remember_passes(
 
     Args:
         config: the run's configuration.
-        data: its recordings, split.
         module: with its weights.
         trainer: its trainer.
+        shared: :func:`uncal.weights.ingredients.data_ingredients`.
     """
     if config.store is None or trainer.world_size > 1 or module.masks is not None:
         return
-    named = digest_of(pass_ingredients(config, data, module, trainer))
+    named = digest_of(pass_ingredients(config, module, trainer, shared))
     memory = PassMemory(Path(config.store) / "passes" / named, config.mcd.passes)
     if config.get("retrain"):
         memory.forget()

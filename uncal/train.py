@@ -20,7 +20,7 @@ from uncal.errors import UncalError
 from uncal.memory import keep_freed_memory
 from uncal.models.module import CalibrationModule
 from uncal.runs import finished_earlier, keep_results, make_record, remember_passes
-from uncal.weights.ingredients import training_ingredients
+from uncal.weights.ingredients import data_ingredients, training_ingredients
 from uncal.weights.obtain import Weights, obtain
 from uncal.weights.store import WeightStore
 
@@ -46,7 +46,8 @@ def main(config: DictConfig) -> float:
     module = build_module(config)
     trainer = build_trainer(config)
 
-    ingredients = training_ingredients(config, data, module, trainer)
+    shared = data_ingredients(config, data)
+    ingredients = training_ingredients(config, data, module, trainer, shared)
     record = make_record("uncal.train", config, module, trainer, ingredients)
     earlier = finished_earlier(record, config.retrain)
     if earlier is not None:
@@ -54,7 +55,8 @@ def main(config: DictConfig) -> float:
     record.begin()
 
     if config.ckpt is not None or config.store is None:
-        path = fit(trainer, module, data, config.ckpt)
+        last = last_checkpoint(trainer)
+        path = fit(trainer, module, data, config.ckpt, f"ckpt={last} and the same settings")
         weights = Weights(path, "", reused=False, trained=None)
     else:
         weights = obtain(
@@ -67,7 +69,7 @@ def main(config: DictConfig) -> float:
         )
     load_weights(module, weights.path, calibrated=read_recipe(weights.path) == module.recipe)
     module.provenance.append(weights.sentence())
-    remember_passes(config, data, module, trainer)
+    remember_passes(config, module, trainer, shared)
 
     trainer.test(module, datamodule=data, verbose=False)
     if trainer.is_global_zero:
@@ -83,6 +85,7 @@ def fit(
     module: CalibrationModule,
     data: CalibrationDataModule,
     start: str | Path | None,
+    continuation: str,
 ) -> Path:
     """Train, from nothing or from a checkpoint.
 
@@ -91,6 +94,7 @@ def fit(
         module: the network.
         data: the recordings.
         start: a checkpoint to go on from.
+        continuation: how a user goes on with an interrupted training, for the message.
 
     Returns:
         The checkpoint that validated best.
@@ -102,8 +106,7 @@ def fit(
         trainer.fit(module, datamodule=data, ckpt_path=start)
     except SystemExit as stop:  # how Lightning passes Ctrl-C on
         raise UncalError(
-            "interrupted; the same command goes on after the last finished epoch, which is in "
-            f"{last_checkpoint(trainer)}; retrain=true would start anew"
+            f"interrupted; go on after the last finished epoch with {continuation}"
         ) from stop
     path = getattr(trainer.checkpoint_callback, "best_model_path", "")
     if not path:
@@ -133,7 +136,14 @@ def fit_or_resume(
             if isinstance(callback, ModelCheckpoint):
                 # Elsewhere Lightning would forget which checkpoint was best so far.
                 callback.dirpath = str(start.parent)
-    return fit(trainer, module, data, start)
+    last = last_checkpoint(trainer)
+    return fit(
+        trainer,
+        module,
+        data,
+        start,
+        f"the same command, which finds {last} (retrain=true would start anew)",
+    )
 
 
 def last_checkpoint(trainer: lightning.Trainer) -> Path | None:

@@ -12,7 +12,12 @@ from uncal.configuration import CONFIG_DIR
 from uncal.data.datamodule import CalibrationDataModule
 from uncal.recordings.frame import FrameId
 from uncal.weights.digest import digest_of
-from uncal.weights.ingredients import ONLY_SHOWN, pass_ingredients, training_ingredients
+from uncal.weights.ingredients import (
+    ONLY_SHOWN,
+    data_ingredients,
+    pass_ingredients,
+    training_ingredients,
+)
 
 FRAMES = [FrameId("rig", "drive", index) for index in range(8)]
 
@@ -45,7 +50,8 @@ def training(root: Path, *overrides: str, frames: int = 6) -> str:
     config = composed(root, *overrides)
     trainer = lightning.Trainer(accelerator="cpu", logger=False, enable_checkpointing=False)
     data = data_of(config, FRAMES[:frames])
-    return digest_of(training_ingredients(config, data, build_module(config), trainer))
+    shared = data_ingredients(config, data)
+    return digest_of(training_ingredients(config, data, build_module(config), trainer, shared))
 
 
 @pytest.mark.parametrize(
@@ -131,6 +137,6 @@ def test_passes_are_known_by_what_decides_them(root: Path, override: str, same: 
             # The same weights: made with one seed of torch, not with the run's.
             for parameter in module.parameters():
                 parameter.data.zero_()
-        data = data_of(config, FRAMES)
-        found.append(digest_of(pass_ingredients(config, data, module, trainer)))
+        shared = data_ingredients(config, data_of(config, FRAMES))
+        found.append(digest_of(pass_ingredients(config, module, trainer, shared)))
     assert (found[0] == found[1]) == same

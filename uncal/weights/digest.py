@@ -7,6 +7,7 @@ import hashlib
 import json
 import sys
 from collections.abc import Iterable, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 
 from torch import nn
@@ -86,8 +87,11 @@ def digest_of_file(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()[:16]
 
 
-def digest_of_code(parts: Iterable[str]) -> str:
+@cache
+def digest_of_code(parts: tuple[str, ...]) -> str:
     """Digest of source files of this package; comments, docstrings and layout do not count.
+
+    Of the files as they are when a process first asks, since it goes on with the code it has.
 
     Args:
         parts: files or folders, relative to the package; of folders without :data:`APART`.

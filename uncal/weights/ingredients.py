@@ -45,11 +45,32 @@ NOT_LEARNT: tuple[str, ...] = (
 """Settings of the trainer that change no weights, or that device and processes stand for."""
 
 
+def data_ingredients(config: DictConfig, data: CalibrationDataModule) -> dict[str, object]:
+    """What training and passes have in common; looks at every file of the recordings, once.
+
+    Args:
+        config: the run's configuration.
+        data: its recordings.
+
+    Returns:
+        Plain values.
+    """
+    recording = _plain(config.dataset.recording)
+    recording.pop("root", None)
+    return {
+        "files": digest_of_files(Path(config.dataset.root)),
+        "recording": recording,
+        "image size": list(data.image_size),
+        "decalibration": _plain(config.decalibration),
+    }
+
+
 def training_ingredients(
     config: DictConfig,
     data: CalibrationDataModule,
     module: CalibrationModule,
     trainer: lightning.Trainer,
+    shared: Mapping[str, object],
 ) -> dict[str, object]:
     """Everything that decides what a training learns.
 
@@ -61,6 +82,7 @@ def training_ingredients(
         data: its recordings, split.
         module: its network, not trained yet.
         trainer: its trainer.
+        shared: :func:`data_ingredients`.
 
     Returns:
         Plain values; the same on every machine for the same data, settings and versions.
@@ -70,7 +92,7 @@ def training_ingredients(
     checkpoint = callbacks.pop("checkpoint", None)
     monitored = checkpoint.get("monitor") if isinstance(checkpoint, dict) else None
     return {
-        **_data_ingredients(config, data),
+        **shared,
         "training frames": digest_of_names(data.splits["train"]),
         "validation frames": digest_of_names(data.splits["validation"]),
         "seed": config.seed,
@@ -93,24 +115,24 @@ def training_ingredients(
 
 def pass_ingredients(
     config: DictConfig,
-    data: CalibrationDataModule,
     module: CalibrationModule,
     trainer: lightning.Trainer,
+    shared: Mapping[str, object],
 ) -> dict[str, object]:
     """Everything but their number that decides what the stochastic passes of trained weights give.
 
     Args:
         config: the run's configuration.
-        data: its recordings, split.
         module: its trained network.
         trainer: its trainer.
+        shared: :func:`data_ingredients`.
 
     Returns:
         Plain values.
     """
     identity = module.engine.identity()
     return {
-        **_data_ingredients(config, data),
+        **shared,
         "weights": identity.weights,
         "rates": list(identity.rates),
         "layers": None if config.mcd.layers is None else list(config.mcd.layers),
@@ -123,17 +145,6 @@ def pass_ingredients(
         "code": digest_of_code(INFERENCE_CODE),
         "network code": dict(digest_of_network(module.estimator)),
         "versions": _versions(),
-    }
-
-
-def _data_ingredients(config: DictConfig, data: CalibrationDataModule) -> dict[str, object]:
-    recording = _plain(config.dataset.recording)
-    recording.pop("root", None)
-    return {
-        "files": digest_of_files(Path(config.dataset.root)),
-        "recording": recording,
-        "image size": list(data.image_size),
-        "decalibration": _plain(config.decalibration),
     }
 
 
