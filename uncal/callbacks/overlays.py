@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from uncal.data.datamodule import CalibrationDataModule
 from uncal.data.dataset import Sample, collate
-from uncal.data.image_size import fit
 from uncal.decalibration import correct
 from uncal.models.module import CalibrationModule
 from uncal.reporting.overlay import draw_events, overlay_panel
@@ -47,7 +46,7 @@ class Overlays(lightning.Callback):
         dataset = data.datasets["validation"]
         count = min(self.frames, len(dataset))
         for i in np.linspace(0, len(dataset) - 1, count).round().astype(int).tolist():
-            sample = dataset[i]
+            sample = dataset[i][0]
             if isinstance(sample, Sample):
                 picture = self._draw(trainer, pl_module, data, sample)
                 self._keep(trainer, picture, str(sample.frame))
@@ -59,7 +58,7 @@ class Overlays(lightning.Callback):
         data: CalibrationDataModule,
         sample: Sample,
     ) -> NDArray[np.uint8]:
-        inputs = data.on_after_batch_transfer(collate([sample]).to(module.device), 0)
+        inputs = data.on_after_batch_transfer(collate([[sample]]).to(module.device), 0)
         assert inputs is not None
         with torch.inference_mode(), trainer.precision_plugin.forward_context():
             estimate = module(inputs)
@@ -103,6 +102,9 @@ def background(data: CalibrationDataModule, sample: Sample) -> NDArray[np.uint8]
     """
     if sample.camera.dtype == torch.uint8:
         return np.ascontiguousarray(sample.camera.numpy().transpose(1, 2, 0))
-    events = data.recording.load(sample.frame).events
+    frame = data.recording.load(sample.frame)
+    events = frame.events
     assert events is not None
-    return draw_events(events, data.image_size, fit(events.size, data.image_size).pixel_map)
+    return draw_events(
+        events, data.image_size, data.datasets["test"].fit(events.size, frame.K).pixel_map
+    )

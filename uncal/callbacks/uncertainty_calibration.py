@@ -48,7 +48,7 @@ class UncertaintyCalibration(lightning.Callback):
                 validation.mean,
                 validation.std,
                 level,
-                groups=validation.groups(data.splits["validation"], module.groups),
+                groups=validation.groups(data.named("validation"), module.groups),
                 bounds=validation.bounds,
             )
             bounds = (intervals.lower, intervals.upper)
@@ -77,7 +77,7 @@ class UncertaintyCalibration(lightning.Callback):
         self, trainer: Trainer, module: CalibrationModule, data: CalibrationDataModule
     ) -> None:
         split = "uncertainty_calibration"
-        module.fit_calibrator(predict_split(trainer, module, data, split), data.splits[split])
+        module.fit_calibrator(predict_split(trainer, module, data, split), data.named(split))
 
 
 def _ours(
