@@ -14,7 +14,7 @@ from typing import Annotated, ClassVar
 from uncal.errors import ConfigurationError
 from uncal.simulation.settings_group import SettingsGroup, Within
 
-VERSION = 1
+VERSION = 2
 """Raised whenever the same settings would no longer give the same files."""
 
 MAX_RIGS = 3652
