@@ -13,7 +13,7 @@ from uncal.errors import ConfigurationError
 from uncal.models.module import CalibrationModule
 from uncal.weights.shipped import load_checkpoint, load_shipped
 
-OWN: tuple[str, ...] = ("calibrator.", "masks.")
+OWN: tuple[str, ...] = ("calibrator.", "ellipsoid.", "masks.")
 """Parts of the state that belong to the calibration, not to the weights."""
 
 
