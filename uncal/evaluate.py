@@ -13,8 +13,8 @@ from omegaconf import DictConfig
 from uncal.asked import with_settings_of
 from uncal.assembly import RECIPE, build_data, build_module, build_trainer
 from uncal.callbacks.report import Report
-from uncal.checkpoint import load_weights, read_recipe
-from uncal.configuration import CONFIG_DIR, exits_on_error, quiet_libraries
+from uncal.checkpoint import load_weights, read_recipe, save_weights
+from uncal.configuration import CONFIG_DIR, exits_on_error, job_folder, quiet_libraries
 from uncal.errors import ConfigurationError
 from uncal.memory import keep_freed_memory
 from uncal.runs import finished_earlier, keep_results, make_record, remember_passes
@@ -72,6 +72,7 @@ def main(config: DictConfig) -> float:
         remember_passes(run, module, trainer, data_ingredients(run, data))
     trainer.test(module, datamodule=data, verbose=False)
     if trainer.is_global_zero:
+        save_weights(module, job_folder() / "checkpoints" / "best.ckpt")
         keep_results(record, trainer, module, weights)
     return Report.of(trainer).results.summary.mean_ratio
 
