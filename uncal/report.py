@@ -1,4 +1,4 @@
-"""Runs beside the paper's Table 1 and Table 2: ``python -m uncal.report RUN…``."""
+"""Runs next to the paper's Table 1 and Table 2: ``python -m uncal.report RUN…``."""
 
 from __future__ import annotations
 
@@ -9,22 +9,19 @@ from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
 
+from uncal.comparison.gathering import gather
+from uncal.comparison.page import compare, html_page, markdown_text, terminal_text
+from uncal.comparison.tidy import tidy_csv
 from uncal.configuration import exits_on_error, quiet_libraries
 from uncal.errors import UncalError
-from uncal.reporting.comparison.content import compare
-from uncal.reporting.comparison.gathering import gather
-from uncal.reporting.comparison.html_page import html_page
-from uncal.reporting.comparison.markdown_text import markdown_text
-from uncal.reporting.comparison.terminal import terminal_text
-from uncal.reporting.comparison.tidy import tidy_csv
 from uncal.reporting.layout import write_whole
 from uncal.reporting.published import published_paper
 
 DESCRIPTION = """\
-Puts one or several runs beside the paper's Table 1 and Table 2 (WACV 2025): intervals, MC dropout
+Shows one or several runs next to the paper's Table 1 and Table 2 (WACV 2025): intervals, MC dropout
 alone, errors, the whole pose, the image-blind control, coverage by σ, and the figures, each with
-the command that made it. The paper measured on real KITTI and DSEC, a run on what it says: only the
-kind of statement can be compared, and the page says so."""
+the command it came from. The paper measured on real KITTI and DSEC, a run on its own data: compare
+coverage with its nominal level, not one accuracy with another; the page says so."""
 
 EPILOG = """\
 Written into the output folder:
@@ -37,9 +34,8 @@ Examples:
   python -m uncal.report outputs/demo/A outputs/demo/B --output comparison
   python -m uncal.report outputs/multirun/2025-01-31_13-00-00-000000
 
-A run's folder is what python -m uncal.train and uncal.evaluate name at their end. Runs of earlier
-versions, without run.json, work too; what they lack is said. For the paper's Table 2 give a run
-made with interval=gaussian."""
+A run's folder is what python -m uncal.train and uncal.evaluate name at their end. The page names
+the files that a folder lacks. For the paper's Table 2 give a run with interval=gaussian."""
 
 
 @exits_on_error

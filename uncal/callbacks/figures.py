@@ -12,7 +12,8 @@ from lightning.pytorch.loggers import TensorBoardLogger
 
 from uncal.models.module import CalibrationModule
 from uncal.reporting.figures.named import save
-from uncal.reporting.figures.run_figures import figure_makers, recorded_yardstick
+from uncal.reporting.figures.run_figures import figure_makers
+from uncal.reporting.run import recorded_caveat
 
 log = logging.getLogger(__name__)
 
@@ -33,12 +34,12 @@ class Figures(lightning.Callback):
         """Draw, write, log; a figure that fails is named, and the others and the run go on."""
         if not trainer.is_global_zero:
             return
-        yardstick = None
+        caveat = None
         if isinstance(pl_module, CalibrationModule):
-            yardstick = recorded_yardstick(pl_module.recipe)
-        for name, make in figure_makers(self.folder, self.label, yardstick).items():
+            caveat = recorded_caveat(pl_module.recipe)
+        for name, draw in figure_makers(self.folder, self.label, caveat).items():
             try:
-                figure = make()
+                figure = draw()
                 png = None if figure is None else save(figure, self.folder / "figures")[0]
             except Exception as error:
                 # Whatever it is: hours of training must not end here.

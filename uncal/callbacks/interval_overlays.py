@@ -21,8 +21,8 @@ from uncal.errors import ConfigurationError
 from uncal.geometry import DOF_NAMES, DOF_SCALE
 from uncal.models.module import CalibrationModule
 from uncal.models.prediction import SplitPrediction
+from uncal.reporting.evaluation import percent
 from uncal.reporting.overlay import overlay_panel
-from uncal.reporting.predictions import percent
 
 log = logging.getLogger(__name__)
 

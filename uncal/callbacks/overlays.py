@@ -17,8 +17,8 @@ from uncal.data.dataset import Sample, collate
 from uncal.data.image_size import fit
 from uncal.decalibration import correct
 from uncal.models.module import CalibrationModule
+from uncal.reporting.measure import summarise
 from uncal.reporting.overlay import draw_events, overlay_panel
-from uncal.reporting.rows import summarise
 
 WIDTH_PX = 1000
 """Least width of a picture; small images are enlarged to it."""

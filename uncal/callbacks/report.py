@@ -16,7 +16,8 @@ from uncal.callbacks.image_blind import ImageBlindControl
 from uncal.data.datamodule import CalibrationDataModule
 from uncal.errors import ConfigurationError
 from uncal.models.module import CalibrationModule
-from uncal.reporting.report import Results, format_report, measure, write_report
+from uncal.reporting.measure import Results, measure
+from uncal.reporting.report import format_report, write_report
 
 log = logging.getLogger(__name__)
 

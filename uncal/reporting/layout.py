@@ -8,23 +8,11 @@ import math
 import secrets
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeAlias
 
-
-@dataclass(frozen=True)
-class Section:
-    """A small table under the main one.
-
-    Attributes:
-        title: what it shows.
-        grid: rows of cells, the first the header; the first column names the rows.
-        notes: sentences to print below.
-    """
-
-    title: str
-    grid: Sequence[Sequence[str]]
-    notes: Sequence[str] = ()
+Grid: TypeAlias = list[list[str]]
+"""Rows of cells, the first the header; the first column names the rows."""
 
 
 def markdown_lines(grid: Sequence[Sequence[str]]) -> list[str]:
@@ -36,6 +24,8 @@ def markdown_lines(grid: Sequence[Sequence[str]]) -> list[str]:
     >>> markdown_lines([["", "X"], ["MAE", "1.0"]])
     ['|  | X |', '| :-- | --: |', '| MAE | 1.0 |']
     """
+    if not grid:
+        return []
     header, *body = grid
     rule = [":--"] + ["--:"] * (len(header) - 1)
     escaped = [[cell.replace("|", "\\|") for cell in line] for line in (header, rule, *body)]
@@ -130,3 +120,12 @@ def number(value: float | None, digits: int) -> str:
     if value is None or math.isnan(value):
         return "–"
     return "∞" if math.isinf(value) else f"{value:.{digits}f}"
+
+
+def length(value: float | None, unit: str) -> str:
+    """Tenths of a millimetre, thousandths of a degree.
+
+    >>> length(1.234, "cm"), length(0.5, "°"), length(None, "cm")
+    ('1.23', '0.500', '–')
+    """
+    return number(value, 2 if unit == "cm" else 3)
