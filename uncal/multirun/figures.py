@@ -413,9 +413,8 @@ def _lines(sweep: Sweep, panels: Sequence[Panel], *, columns: int) -> Figure:
                 sweep.values((f"coverage_{end}", panel.law, DOF_NAMES)).groupby("x")["value"]
                 for end in ("low", "high")
             )
-            axis.fill_between(
-                [*low.groups], low.min(), high.max(), color=BAND_GREY, linewidth=0, label=_LAW_LABEL
-            )
+            ends = low.min(), high.max()
+            axis.fill_between(ends[0].index, *ends, color=BAND_GREY, linewidth=0, label=_LAW_LABEL)
         errorbar = ("pi", 100) if panel.bands and sweep.replicates > 1 else None
         for look, values in _drawn(sweep, panel):
             sns.lineplot(values, x="x", y="value", ax=axis, errorbar=errorbar, legend=False, **look)
