@@ -12,9 +12,10 @@ from scipy import stats  # type: ignore[import-untyped]
 from torch import Tensor
 
 from uncal.geometry import DOF_NAMES
+from uncal.metrics.bootstrap import bootstrap_ratio
 from uncal.models.control import ControlPrediction
 from uncal.recordings.frame import FrameId
-from uncal.reporting.control import blind_dofs, bootstrap_ratio, control_table, resampling_groups
+from uncal.reporting.control import blind_dofs, control_table, resampling_groups
 from uncal.reporting.frames import CONTROL
 from uncal.reporting.measure import Results, measure
 from uncal.reporting.report import TERMINAL_WIDTH, format_report, write_report

@@ -9,8 +9,9 @@ import torch
 from torch import Tensor
 
 from uncal.geometry import DOF_NAMES
+from uncal.metrics.pose_error import pose_errors
 from uncal.reporting.frames import RESULTS
-from uncal.reporting.measure import Results, measure, summarise
+from uncal.reporting.measure import Results, measure
 from uncal.reporting.report import TERMINAL_WIDTH, format_report, main_grid, write_report
 from uncal.uncertainty import ConformalCalibrator, NotCalibratedError, coverage_band
 
@@ -68,12 +69,12 @@ def test_coverage_is_inside_the_band_and_a_wrong_calibrator_is_not() -> None:
 
 def test_pose_errors_by_hand() -> None:
     target = torch.tensor([[0.03, 0.04, 0.0, 0.0, 0.0, 0.02], [0.0, 0.0, 0.1, 0.0, 0.01, 0.0]])
-    summary = summarise(torch.zeros(2, 6), target, n_calibration=7)
+    summary = pose_errors(torch.zeros(2, 6), target, n_calibration=7)
     assert summary.translation_before == summary.translation_after == pytest.approx(7.5)
     assert summary.rotation_before == pytest.approx(math.degrees(0.015))
     assert summary.rotation_after == pytest.approx(math.degrees(0.015))
     assert summary.mean_ratio == pytest.approx(1.0)
-    perfect = summarise(target, target, n_calibration=7)
+    perfect = pose_errors(target, target, n_calibration=7)
     assert perfect.translation_after == 0.0
     assert perfect.rotation_after == pytest.approx(0.0, abs=1e-6)
     assert perfect.mean_ratio == 0.0
@@ -85,7 +86,9 @@ def test_rotation_error_is_the_angle_between_the_rotations() -> None:
     target[0, 3], target[0, 5] = math.radians(20), math.radians(30)
     c, r = math.cos(math.radians(30)), math.cos(math.radians(20))
     angle = math.degrees(math.acos((c + c * r + r - 1) / 2))
-    assert summarise(torch.zeros(1, 6), target, 1).rotation_before == pytest.approx(angle, rel=1e-6)
+    assert pose_errors(torch.zeros(1, 6), target, 1).rotation_before == pytest.approx(
+        angle, rel=1e-6
+    )
 
 
 def test_a_dof_that_was_never_decalibrated_has_no_ratio() -> None:
@@ -190,4 +193,4 @@ def test_refusals() -> None:
         measure(mean, std, target, calibrator, [])
     target[0, 0] = torch.nan
     with pytest.raises(ValueError, match="1 values that are NaN"):
-        summarise(mean, target, 100)
+        pose_errors(mean, target, 100)

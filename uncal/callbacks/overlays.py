@@ -16,8 +16,8 @@ from uncal.data.datamodule import CalibrationDataModule
 from uncal.data.dataset import Sample, collate
 from uncal.data.image_size import fit
 from uncal.decalibration import correct
+from uncal.metrics.pose_error import pose_errors
 from uncal.models.module import CalibrationModule
-from uncal.reporting.measure import summarise
 from uncal.reporting.overlay import draw_events, overlay_panel
 
 WIDTH_PX = 1000
@@ -66,7 +66,7 @@ class Overlays(lightning.Callback):
         T_true = sample.T_cam_lidar.double()
         T_init = inputs.T_init[0].cpu().double()
         T_estimated = correct(T_init, estimate[0].cpu().double())
-        error = summarise(estimate.cpu(), inputs.target.cpu(), 0)
+        error = pose_errors(estimate.cpu(), inputs.target.cpu(), 0)
         before = f"{error.translation_before:.1f} cm, {error.rotation_before:.2f} deg"
         after = f"{error.translation_after:.1f} cm, {error.rotation_after:.2f} deg"
         extrinsics = {

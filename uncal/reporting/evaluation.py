@@ -10,7 +10,7 @@ from typing import Literal
 
 from torch import Tensor
 
-from uncal.geometry import DOF_NAMES
+from uncal.metrics.pose_error import in_double
 from uncal.uncertainty.calibrator import IntervalCalibrator
 from uncal.uncertainty.coverage_law import coverage_band
 from uncal.uncertainty.intervals import Intervals
@@ -165,23 +165,3 @@ def percent(level: float | Fraction) -> float:
     7.0
     """
     return float(100 * Fraction(str(level)))
-
-
-def in_double(*tensors: Tensor) -> list[Tensor]:
-    """(n, 6) tensors on the CPU in double precision, so that a table is the same on any device.
-
-    Raises:
-        ValueError: other shapes, no samples, or values that are not finite.
-    """
-    for tensor in tensors:
-        if tensor.shape != tensors[0].shape or tensor.ndim != 2 or tensor.shape[1] != 6:
-            raise ValueError(
-                f"shapes {[tuple(t.shape) for t in tensors]}: all must be (n, {len(DOF_NAMES)}), "
-                f"in the order {', '.join(DOF_NAMES)}."
-            )
-        if len(tensor) == 0 or not tensor.isfinite().all():
-            raise ValueError(
-                f"the test set has {len(tensor)} samples and {int((~tensor.isfinite()).sum())} "
-                "values that are NaN or infinite; a table needs finite values and one sample."
-            )
-    return [tensor.detach().double().cpu() for tensor in tensors]

@@ -15,12 +15,13 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from uncal.geometry import DOF_NAMES, DOF_SCALE, DOF_UNITS, invert, pose_to_matrix
+from uncal.geometry import DOF_NAMES, DOF_SCALE, DOF_UNITS, pose_to_matrix
 from uncal.metrics.conditional import BinnedCoverage, coverage_by_bin
 from uncal.metrics.functional import covered, interval_score, mpiw
 from uncal.metrics.joint import jointly_covered, relative_size
+from uncal.metrics.pose_error import PoseErrors, pose_errors, rotation_angle
 from uncal.reporting.control import control_table
-from uncal.reporting.evaluation import Evaluation, Guarantee, in_double, percent
+from uncal.reporting.evaluation import Evaluation, Guarantee, percent
 from uncal.reporting.frames import bound_columns, table
 from uncal.uncertainty.calibrator import IntervalCalibrator
 from uncal.uncertainty.intervals import Intervals
@@ -41,29 +42,6 @@ _SCALE = torch.tensor(DOF_SCALE, dtype=torch.float64)
 
 
 @dataclass(frozen=True)
-class Summary:
-    """Errors of the whole pose.
-
-    Attributes:
-        mean_ratio: mean over the decalibrated DoF of mean absolute error after / before.
-        translation_before: mean length of the decalibration's translation, cm.
-        translation_after: mean length of the translation error that is left, cm.
-        rotation_before: mean angle of the decalibration's rotation, degrees.
-        rotation_after: mean angle of the rotation error that is left, degrees.
-        n_test: samples of the test set.
-        n_calibration: samples of the uncertainty calibration set.
-    """
-
-    mean_ratio: float
-    translation_before: float
-    translation_after: float
-    rotation_before: float
-    rotation_after: float
-    n_test: int
-    n_calibration: int
-
-
-@dataclass(frozen=True)
 class Results:
     """What was measured on a test set; the frames are those of the run's CSV files.
 
@@ -79,7 +57,7 @@ class Results:
     """
 
     per_dof: pd.DataFrame
-    summary: Summary
+    summary: PoseErrors
     joint: pd.DataFrame
     conditional: pd.DataFrame
     curve: pd.DataFrame
@@ -124,7 +102,7 @@ def measure(
     mae_after = [float(value) for value in per_dof["mae_after"].iloc[: len(DOF_NAMES)]]
     return Results(
         per_dof=per_dof,
-        summary=summarise(test.mean, test.target, test.m),
+        summary=pose_errors(test.mean, test.target, test.m),
         joint=joint_table(test, levels),
         conditional=conditional_table(test, levels),
         curve=curve_table(test),
@@ -250,60 +228,6 @@ def predictions_table(
         columns[upper] = flat(test.intervals(level).upper)
     frame: pd.DataFrame = pd.DataFrame(columns)
     return frame
-
-
-def summarise(mean: Tensor, target: Tensor, n_calibration: int) -> Summary:
-    """Errors of the whole pose before and after the estimate is applied.
-
-    The translation error is the length of the difference of the translations, as the paper's; the
-    rotation error is the angle of the residual transform T(target) · T(estimate)⁻¹.
-
-    Args:
-        mean: (n, 6) estimated decalibration, metres and radians.
-        target: (n, 6) true decalibration.
-        n_calibration: samples of the uncertainty calibration set.
-
-    Raises:
-        ValueError: shapes other than (n, 6), or values that are not finite.
-
-    >>> target = torch.tensor([[0.03, 0.04, 0.0, 0.0, 0.0, 0.0]])
-    >>> summary = summarise(target / 2, target, n_calibration=1)
-    >>> round(summary.translation_before, 6), round(summary.translation_after, 6)
-    (5.0, 2.5)
-    """
-    mean, target = in_double(mean, target)
-    before, after = target.abs().mean(0).tolist(), (target - mean).abs().mean(0).tolist()
-    ratios = [_ratio(a, b) for a, b in zip(after, before, strict=True) if b > 0]
-    truth = pose_to_matrix(target)
-    residual = truth @ invert(pose_to_matrix(mean))
-    return Summary(
-        mean_ratio=sum(ratios) / len(ratios) if ratios else math.nan,
-        translation_before=100 * target[:, :3].norm(dim=1).mean().item(),
-        translation_after=100 * (target - mean)[:, :3].norm(dim=1).mean().item(),
-        rotation_before=math.degrees(rotation_angle(truth).mean().item()),
-        rotation_after=math.degrees(rotation_angle(residual).mean().item()),
-        n_test=len(target),
-        n_calibration=n_calibration,
-    )
-
-
-def rotation_angle(transform: Tensor) -> Tensor:
-    """The geodesic angle of transforms, by ‖R - I‖ = 2√2 sin(θ/2), exact for small angles too.
-
-    Args:
-        transform: (..., 4, 4) rigid transforms.
-
-    Returns:
-        (...) angles in 0..π radians.
-
-    >>> pose = torch.tensor([0.0, 0.0, 0.0, 0.0, 0.0, 1e-6], dtype=torch.float64)
-    >>> round(rotation_angle(pose_to_matrix(pose)).item(), 12)
-    1e-06
-    """
-    rotation = transform[..., :3, :3]
-    identity = torch.eye(3, dtype=rotation.dtype, device=rotation.device)
-    chord = torch.linalg.matrix_norm(rotation - identity)
-    return 2 * torch.asin((chord / 8**0.5).clamp_max(1.0))
 
 
 def _joint_row(test: Evaluation, level: float) -> dict[str, object]:

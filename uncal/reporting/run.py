@@ -15,9 +15,9 @@ from omegaconf.errors import OmegaConfBaseException
 import uncal.uncertainty
 from uncal.errors import UncalError
 from uncal.geometry import DOF_NAMES, DOF_SCALE
+from uncal.metrics.pose_error import PoseErrors, pose_errors
 from uncal.reporting.evaluation import Guarantee, band_caveat, guarantee_of
 from uncal.reporting.frames import PREDICTIONS, RESULTS, TABLES, Schema, read_csv
-from uncal.reporting.measure import Summary, summarise
 from uncal.reporting.published.paper import MCD_ALONE, MCD_CP
 from uncal.reporting.run_record import NAME, read_record
 from uncal.uncertainty.calibrator import IntervalCalibrator
@@ -118,7 +118,7 @@ class Run:
         return [f"no {file}, hence without {what}" for file, what in lost.items()]
 
     @cached_property
-    def summary(self) -> Summary | None:
+    def summary(self) -> PoseErrors | None:
         """Errors of the whole pose, from the single predictions; None without them."""
         predictions = self.tables.get(PREDICTIONS)
         if predictions is None:
@@ -128,7 +128,7 @@ class Run:
             torch.tensor(predictions[column].to_numpy()).reshape(-1, len(DOF_NAMES)) / scale
             for column in ("truth", "estimate")
         )
-        return summarise(estimate, truth, int(self.per_dof["n_calibration"].iloc[0]))
+        return pose_errors(estimate, truth, int(self.per_dof["n_calibration"].iloc[0]))
 
     def entry(self, key: str) -> str | None:
         """An entry of the record as text."""

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING
 import torch
 
 from uncal.geometry import DOF_NAMES
+from uncal.metrics.bootstrap import CONFIDENCE, RESAMPLES
 from uncal.metrics.calibration_curve import calibration_error
-from uncal.reporting.control import CONFIDENCE, RESAMPLES, blind_dofs
+from uncal.reporting.control import blind_dofs
 from uncal.reporting.evaluation import Guarantee
 from uncal.reporting.layout import Grid, length, number
 from uncal.uncertainty.quantile import samples_needed
