@@ -180,7 +180,7 @@ def test_errors_and_what_the_paper_does_not_report(page: Page) -> None:
     blind = [float(cell) for cell in control["the same, another frame's image"]]
     assert blind == pytest.approx([3 * each for each in errors], rel=0.02)
     together = page.rows("The whole pose", "Run 1")[0]
-    assert together[1] == "all six intervals at once (%)"
+    assert together[1] == "All six intervals at once (%)"
     assert float(together[2]) < 90
     assert "Not shown, since without control.csv: Run 3." in page.text
     assert len(page.rows("by size of the decalibration", "Run 3")) == 6

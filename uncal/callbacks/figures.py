@@ -7,9 +7,10 @@ from pathlib import Path
 
 import cv2
 import lightning
+import numpy as np
 from lightning import LightningModule, Trainer
-from lightning.pytorch.loggers import TensorBoardLogger
 
+from uncal.callbacks.pictures import show_picture
 from uncal.models.module import CalibrationModule
 from uncal.reporting.figures.named import save
 from uncal.reporting.figures.run_figures import figure_makers
@@ -45,15 +46,7 @@ class Figures(lightning.Callback):
                 # Whatever it is: hours of training must not end here.
                 log.error("figure %s was not drawn: %s: %s", name, type(error).__name__, error)
                 continue
-            if png is not None:
-                _log(trainer, name, png)
-
-
-def _log(trainer: Trainer, name: str, png: Path) -> None:
-    for logger in trainer.loggers:
-        if isinstance(logger, TensorBoardLogger):
-            picture = cv2.imread(str(png))
-            assert picture is not None
-            logger.experiment.add_image(
-                f"figure/{name}", picture[:, :, ::-1], trainer.global_step, dataformats="HWC"
-            )
+            picture = None if png is None else cv2.imread(str(png))
+            if picture is not None:
+                rgb = np.asarray(picture[:, :, ::-1], dtype=np.uint8)
+                show_picture(trainer, rgb, f"figure/{name}")

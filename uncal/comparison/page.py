@@ -62,11 +62,6 @@ class Content:
 def compare(paper: PublishedPaper, gathered: Gathered, command: str) -> Content:
     """Put runs next to the paper.
 
-    Args:
-        paper: with the published numbers.
-        gathered: the runs.
-        command: that asked for the comparison.
-
     Raises:
         UncalError: a figure in a run's folder cannot be read.
     """

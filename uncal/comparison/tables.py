@@ -11,24 +11,23 @@ from uncal.comparison.gathering import Gathered, Multirun
 from uncal.geometry import DOF_NAMES, DOF_UNITS
 from uncal.reporting.evaluation import BAND_CONFIDENCE
 from uncal.reporting.frames import CONDITIONAL, CONTROL, CURVE, JOINT, Schema
-from uncal.reporting.layout import length, number
+from uncal.reporting.layout import length
 from uncal.reporting.published import PublishedPaper
 from uncal.reporting.published.paper import MCD_ALONE
 from uncal.reporting.run import UNKNOWN, Run
-from uncal.reporting.sections import Section, conditional_section, control_section, curve_section
+from uncal.reporting.sections import (
+    Section,
+    conditional_section,
+    control_section,
+    curve_section,
+    joint_section,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
 
 DOF_HEADINGS = [f"{dof} ({unit})" for dof, unit in zip(DOF_NAMES, DOF_UNITS, strict=True)]
 METRICS = {"picp": "PICP (%)", "mpiw": "MPIW", "is": "IS"}
-
-_JOINT = {
-    "all six intervals at once (%)": "together",
-    "joint box (%)": "joint",
-    "Bonferroni box (%)": "bonferroni",
-    "Bonferroni / joint, width": "bonferroni_size",
-}
 
 _TOO_SMALL = "∞: the uncertainty calibration set is too small for that level."
 
@@ -273,32 +272,15 @@ def _of_sections(
 
 
 def _joint_table(runs: Sequence[Run]) -> Table | None:
-    having = [run for run in runs if JOINT in run.tables]
-    if not having:
-        return None
-    levels = sorted({level for run in having for level in run.tables[JOINT]["level"]})
-    rows = []
-    for run in having:
-        found = {row["level"]: row for _, row in run.tables[JOINT].iterrows()}
-        for name, column in _JOINT.items():
-            rows.append(
-                [run.source, name, *(_joint_cell(run, found.get(v), column) for v in levels)]
-            )
-    cells = [cell for row in rows for cell in row[2:]]
-    return Table(
-        "The whole pose: all six DoF at once",
-        ["source", "", *(f"{level:g}%" for level in levels)],
-        rows,
-        notes=[
-            "All six intervals at once: the level applies to each DoF alone, not to all six "
-            "together. The joint box is for all six, from the largest score; the Bonferroni box "
-            "takes each DoF at level 1 - α/6. The paper reports none of them.",
-            *(["*: outside the reference band."] if any("*" in cell for cell in cells) else []),
-            *([_TOO_SMALL] if "∞" in cells else []),
-            *_lacking(runs, JOINT),
-        ],
-        origins=_origins(having),
-    )
+    """At the levels of all runs; a run has no numbers at those of others."""
+    levels = sorted({v for run in runs if JOINT in run.tables for v in run.tables[JOINT]["level"]})
+
+    def section(run: Run, frame: pd.DataFrame) -> Section:
+        at_all = frame.set_index("level").reindex(levels).reset_index()
+        return joint_section(at_all, run.guarantee)
+
+    headings = [f"{level:g}%" for level in levels]
+    return _of_sections(runs, JOINT, section, headings, "The paper reports no joint coverage.")
 
 
 def by_name(said: Mapping[str, Sequence[str]], count: int) -> list[str]:
@@ -356,13 +338,6 @@ def _interval_cell(run: Run, row: pd.Series[float] | None, metric: str) -> str:
     if metric == "picp":
         return f"{row['picp']:.1f}" + _mark(run, row["in_band"])
     return length(row[metric], str(row["unit"]))
-
-
-def _joint_cell(run: Run, row: pd.Series[float] | None, column: str) -> str:
-    if row is None:
-        return "–"
-    cell = number(row[column], 2 if column == "bonferroni_size" else 1)
-    return cell + (_mark(run, row["joint_in_band"]) if column == "joint" else "")
 
 
 def _mark(run: Run, in_band: object) -> str:

@@ -10,12 +10,7 @@ from torch.utils.tensorboard import SummaryWriter
 
 
 def show_in_tensorboard(pictures: Sequence[Path], folder: Path) -> None:
-    """Write pictures into one TensorBoard file of their own, in place of an earlier one.
-
-    Args:
-        pictures: PNG files; their stems name them.
-        folder: of the figures.
-    """
+    """Write pictures into one TensorBoard file of their own, in place of an earlier one."""
     for earlier in folder.glob("events.out.tfevents.*"):
         earlier.unlink(missing_ok=True)
     with SummaryWriter(str(folder)) as writer:

@@ -104,19 +104,12 @@ class MultirunSummary(Callback):
 
 
 def is_multirun(config: DictConfig) -> bool:
-    """Whether a job belongs to a multirun.
-
-    Args:
-        config: the job's, with Hydra's own node.
-    """
+    """Whether a job belongs to a multirun."""
     return bool(config.hydra.mode == RunMode.MULTIRUN)
 
 
 def failure(job_return: JobReturn) -> str:
     """Why a job failed; its local variables are let go.
-
-    Args:
-        job_return: of a failed job.
 
     Returns:
         The message of an error that a user can act on, else the traceback's last line; the whole
@@ -136,11 +129,7 @@ def failure(job_return: JobReturn) -> str:
 
 
 def captions(config: DictConfig) -> Path:
-    """The file that is written when all figures of a multirun are drawn.
-
-    Args:
-        config: the multirun's, with Hydra's own node.
-    """
+    """The file that is written when all figures of a multirun are drawn."""
     return Path(config.hydra.sweep.dir) / FIGURES / CAPTIONS
 
 

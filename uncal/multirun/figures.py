@@ -198,9 +198,6 @@ def sweep_figures(folder: Path) -> list[NamedFigure]:
     Over a swept number, such as ``mcd.passes``, lines; another swept key gives one line per value.
     Without a number, or with more lines than can be told apart, a row of dots per combination.
 
-    Args:
-        folder: of the multirun.
-
     Returns:
         No figures as long as there is nothing to compare.
 
@@ -221,9 +218,6 @@ def sweep_figures(folder: Path) -> list[NamedFigure]:
 
 def draw_figures(folder: Path) -> list[Path]:
     """Save the figures of a multirun, and their captions for its ``summary.md``.
-
-    Args:
-        folder: of the multirun.
 
     Returns:
         The PNG files, in ``<folder>/figures``, each with a PDF beside it.

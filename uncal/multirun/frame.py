@@ -35,11 +35,7 @@ _OWN = ("weights", "reused", "label", "folder")
 
 
 def jobs_frame(jobs: Sequence[Job]) -> pd.DataFrame:
-    """The finished jobs' tables below each other; swept keys and seeds are text, "" where unset.
-
-    Args:
-        jobs: of one multirun, at least one with results.
-    """
+    """The finished jobs' tables below each other; swept keys and seeds are text, "" where unset."""
     import pandas as pd
 
     keys, parts = swept_keys(jobs), []
@@ -68,9 +64,6 @@ def summary_csv(jobs: Sequence[Job]) -> str:
 
     Swept keys, seeds, :data:`COLUMNS`, :data:`OPTIONAL`, then what is the job's own. A cell is
     empty where a job has no such number, "nan" where it has and it is NaN.
-
-    Args:
-        jobs: of one multirun, at least one with results.
     """
     frame = jobs_frame(jobs)
     names = [*swept_keys(jobs), *REPLICATES, *COLUMNS, *OPTIONAL, *_OWN]

@@ -23,10 +23,6 @@ def make_portable(job_return: JobReturn, reason: str) -> None:
     """Replace an error that cannot travel from the job's process to the launcher's.
 
     One such error would make the launcher give up on the jobs still to come.
-
-    Args:
-        job_return: of a failed job.
-        reason: :func:`failure`.
     """
     try:
         pickle.loads(pickle.dumps(job_return._return_value))

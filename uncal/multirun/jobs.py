@@ -78,9 +78,6 @@ def read_jobs(folder: Path) -> list[Job]:
     Files may be missing or half there, because other processes are at work on them: a job then
     counts as unfinished, and the next summary, after the change, has it right.
 
-    Args:
-        folder: ``hydra.sweep.dir``.
-
     Returns:
         Finished, failed and unfinished jobs; a folder without Hydra's record is no job's.
     """

@@ -21,9 +21,6 @@ THREADS = "OMP_NUM_THREADS"
 def planned_jobs(config: DictConfig) -> list[dict[str, str]] | None:
     """The overrides of every job, key → value.
 
-    Args:
-        config: the multirun's, with Hydra's own node.
-
     Returns:
         The jobs in order; None if only the sweeper knows them: one that looks at results before
         it goes on, or a command line that it will refuse.
@@ -45,10 +42,6 @@ def share_cores(config: DictConfig, planned: Sequence[Mapping[str, str]] | None)
 
     The variable is set in this process, whose jobs' processes inherit it before they import torch;
     otherwise each would start a thread per core, and together they would be slower than in turn.
-
-    Args:
-        config: the multirun's, with Hydra's own node.
-        planned: :func:`planned_jobs`.
     """
     launcher = config.hydra.launcher
     threads = threads_per_job(

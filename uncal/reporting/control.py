@@ -57,9 +57,6 @@ def control_table(control: ControlPrediction, mae_mean: Sequence[float]) -> pd.D
 def resampling_groups(frames: Sequence[FrameId]) -> tuple[str, list[str]]:
     """The coarsest grouping with more than one group: frames of a rig or drive are dependent.
 
-    Args:
-        frames: n frames.
-
     Returns:
         "rigs", "drives" or "frames", and n labels.
 

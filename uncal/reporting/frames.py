@@ -162,11 +162,7 @@ TABLES = (RESULTS, JOINT, CONDITIONAL, CURVE, CONTROL, PREDICTIONS)
 
 
 def table(rows: Sequence[Mapping[str, object]]) -> pd.DataFrame:
-    """Rows as a frame.
-
-    Args:
-        rows: column → value, at least one row.
-    """
+    """Rows as a frame."""
     import pandas as pd
 
     frame: pd.DataFrame = pd.DataFrame(list(rows))

@@ -18,9 +18,6 @@ Grid: TypeAlias = list[list[str]]
 def markdown_lines(grid: Sequence[Sequence[str]]) -> list[str]:
     """A grid as a Markdown table, numbers to the right.
 
-    Args:
-        grid: rows of cells, the first the header.
-
     >>> markdown_lines([["", "X"], ["MAE", "1.0"]])
     ['|  | X |', '| :-- | --: |', '| MAE | 1.0 |']
     """
@@ -77,10 +74,6 @@ def csv_text(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
 def write_whole(path: Path, text: str) -> Path:
     """Write a file whole or not at all: a reader never sees half a table.
 
-    Args:
-        path: the file, in a folder that exists.
-        text: its content.
-
     Returns:
         The path.
     """
@@ -95,9 +88,6 @@ def replaced_whole(path: Path) -> Iterator[Path]:
 
     Jobs of a multirun write the same summary at the same time, on several machines even: each
     gets a file of its own, and the last to end stays.
-
-    Args:
-        path: the file, in a folder that exists.
     """
     partial = path.with_name(f".{path.name}.{secrets.token_hex(4)}.partial")
     try:
@@ -109,10 +99,6 @@ def replaced_whole(path: Path) -> Iterator[Path]:
 
 def number(value: float | None, digits: int) -> str:
     """A number for a cell: "–" for none or NaN, "∞" for infinite.
-
-    Args:
-        value: the number.
-        digits: after the point.
 
     >>> number(1.25, 1), number(float("inf"), 1), number(None, 1)
     ('1.2', '∞', '–')

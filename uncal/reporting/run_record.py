@@ -75,9 +75,6 @@ class RunRecord:
     def write(self, **results: object) -> Path:
         """Write what the run was and what came out.
 
-        Args:
-            **results: further entries, as plain values.
-
         Returns:
             The path.
         """
@@ -105,10 +102,6 @@ def read_record(folder: Path) -> dict[str, object] | None:
 
 def command_line(module: str, overrides: Sequence[str]) -> str:
     """The command that starts one run.
-
-    Args:
-        module: such as uncal.train.
-        overrides: ``key=value``, as given or as a sweep chose them.
 
     >>> command_line("uncal.train", ["seed=1", "interval.levels=[0.5, 0.9]"])
     "python -m uncal.train seed=1 'interval.levels=[0.5, 0.9]'"

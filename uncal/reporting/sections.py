@@ -67,7 +67,7 @@ def joint_section(joint: pd.DataFrame, guarantee: Guarantee) -> Section:
         if exact and m < needed:
             notes.append(
                 f"∞: at {level:g}% the Bonferroni box needs {needed} samples in the uncertainty "
-                f"calibration set; there are {m}."
+                f"calibration set; there are {m:g}."
             )
     return Section("The whole pose", grid, notes)
 

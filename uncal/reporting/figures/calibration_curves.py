@@ -28,11 +28,6 @@ def calibration_curves(curve: pd.DataFrame, label: str, caveat: str | None = Non
     """Empirical against nominal coverage, translations to the left, rotations to the right.
 
     The lower panels show the difference of the two, in which much smaller errors can be seen.
-
-    Args:
-        curve: of :data:`uncal.reporting.frames.CURVE`.
-        label: what the data are, such as "simulated".
-        caveat: :func:`uncal.reporting.evaluation.band_caveat`; None where it is not known.
     """
     with paper_style():
         figure, panels = new_figure(2, 2, height=4.9, label=label, sharex=True, heights=(2.0, 1.0))

@@ -28,13 +28,7 @@ _CURVES = (
 
 
 def joint_coverage(joint: pd.DataFrame, label: str, caveat: str | None = None) -> NamedFigure:
-    """Empirical coverage of the whole pose against the nominal level.
-
-    Args:
-        joint: of :data:`uncal.reporting.frames.JOINT`.
-        label: what the data are, such as "simulated".
-        caveat: :func:`uncal.reporting.evaluation.band_caveat`; None where it is not known.
-    """
+    """Empirical coverage of the whole pose against the nominal level."""
     joint = joint.sort_values("level")
     levels = joint["level"]
     with paper_style():

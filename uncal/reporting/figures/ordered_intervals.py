@@ -33,12 +33,7 @@ POINTS = 500
 
 
 def ordered_intervals(predictions: pd.DataFrame, label: str) -> NamedFigure:
-    """Six panels of nested intervals, bounds minus truth, smoothed by a moving average.
-
-    Args:
-        predictions: of :data:`uncal.reporting.frames.PREDICTIONS`.
-        label: what the data are, such as "simulated".
-    """
+    """Six panels of nested intervals, bounds minus truth, smoothed by a moving average."""
     by_dof = list(predictions.groupby("dof", sort=False))
     n = len(by_dof[0][1])
     window = smoothing_window(n)

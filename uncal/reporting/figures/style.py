@@ -126,21 +126,13 @@ def new_figure(
 
 
 def light_grid(panels: Iterable[Axes]) -> None:
-    """Faint lines to read values by.
-
-    Args:
-        panels: where.
-    """
+    """Faint lines to read values by."""
     for panel in panels:
         panel.grid(visible=True)
 
 
 def shared_legend(figure: Figure, panels: Iterable[Axes]) -> Legend:
     """One legend above all panels, where it hides nothing; what several have is named once.
-
-    Args:
-        figure: theirs.
-        panels: with labelled artists.
 
     Returns:
         The legend.

@@ -32,10 +32,6 @@ LEVEL = 90.0
 def width_against_error(predictions: pd.DataFrame, label: str) -> NamedFigure | None:
     """Six panels of interval width against |error|, with their rank correlation.
 
-    Args:
-        predictions: of :data:`uncal.reporting.frames.PREDICTIONS`.
-        label: what the data are, such as "simulated".
-
     Returns:
         The figure; None where no level has finite intervals in all DoF.
     """

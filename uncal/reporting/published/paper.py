@@ -105,19 +105,11 @@ class PublishedPaper:
     doubts: tuple[str, ...]
 
     def source(self, place: str) -> str:
-        """A sentence's worth of reference.
-
-        Args:
-            place: such as "Table 1".
-        """
+        """A sentence's worth of reference."""
         return f"{self.authors}, “{self.title}”, {self.venue}, {place}"
 
     def table(self, number: int) -> tuple[PublishedValue, ...]:
-        """The cells of one table.
-
-        Args:
-            number: 1 or 2.
-        """
+        """The cells of one table."""
         return tuple(each for each in self.values if each.table == number)
 
 
