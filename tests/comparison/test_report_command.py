@@ -285,6 +285,32 @@ def test_a_multirun_shows_its_summary_and_its_jobs(tmp_path: Path, make: MakeRun
     assert [said["alt"] for tag, said in page.tags if tag == "img"] == ["Score"]
 
 
+def test_what_a_multirun_lacks_stands_on_the_page(tmp_path: Path, make: MakeRun) -> None:
+    many = tmp_path / "many"
+    job = make(many / "0")
+    for folder, passes in ((job, 5), (many / "1", 6)):
+        (folder / ".hydra").mkdir(parents=True)
+        (folder / ".hydra" / "overrides.yaml").write_text(f"- mcd.passes={passes}\n")
+    (many / "1" / "failed.txt").write_text("no memory\n")
+
+    def page() -> Page:
+        main([str(many), "--output", str(tmp_path / "report")])
+        return Page((tmp_path / "report" / "report.html").read_text(encoding="utf-8"))
+
+    assert "Run 1: command not recorded (no multirun.json) · seed 0" in page().text
+    planned = [{"mcd.passes": passes} for passes in ("5", "6", "7")]
+    write_summary(many, "python -m uncal.train -m mcd.passes=5,6,7", planned)
+    text = page().text
+    assert "Jobs: 3, with results: 1." in text
+    assert "If it is no longer running, this command resumes it:" in text
+    assert f"python -m uncal.train -m mcd.passes=5,6,7 hydra.sweep.dir={many}" in text
+    assert "1 (mcd.passes=6): no memory" in text
+    assert "not started (mcd.passes=7)" in text
+    assert "`" not in text
+    (many / "multirun.json").write_text("{")
+    assert "command not recorded" in page().text
+
+
 def test_errors_end_with_their_message(tmp_path: Path, folders: list[Path]) -> None:
     for arguments, words in (
         ([str(tmp_path / "nowhere")], "there is no such folder"),

@@ -6,16 +6,16 @@ import io
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from PIL import Image, UnidentifiedImageError
 
 from uncal.comparison.gathering import Multirun
 from uncal.errors import UncalError
-from uncal.multirun.figures import sweep_figures
-from uncal.reporting.figures.named import PNG_DPI, NamedFigure
-from uncal.reporting.figures.run_figures import run_figures
-from uncal.reporting.figures.style import paper_style
 from uncal.reporting.run import Run
+
+if TYPE_CHECKING:
+    from uncal.reporting.figures.named import NamedFigure
 
 FOLDER = "figures"
 
@@ -45,7 +45,14 @@ def run_pictures(run: Run) -> list[Picture]:
     Raises:
         UncalError: a figure's file cannot be read.
     """
-    return _pictures(run.folder, run.origin, lambda: run_figures(run.folder, run.label))
+
+    # Matplotlib and seaborn take seconds to import, and most folders have their figures.
+    def draw() -> list[NamedFigure]:
+        from uncal.reporting.figures.run_figures import run_figures
+
+        return run_figures(run.folder, run.label)
+
+    return _pictures(run.folder, run.origin, draw)
 
 
 def multirun_pictures(multirun: Multirun) -> list[Picture]:
@@ -54,7 +61,13 @@ def multirun_pictures(multirun: Multirun) -> list[Picture]:
     Raises:
         UncalError: a figure's file cannot be read.
     """
-    return _pictures(multirun.folder, multirun.origin, lambda: sweep_figures(multirun.folder))
+
+    def draw() -> list[NamedFigure]:
+        from uncal.multirun.figures import sweep_figures
+
+        return sweep_figures(multirun.folder)
+
+    return _pictures(multirun.folder, multirun.origin, draw)
 
 
 def _pictures(
@@ -63,6 +76,8 @@ def _pictures(
     files = sorted((folder / FOLDER).glob("*.png"))
     if files:
         return [_stored(path, origin) for path in files]
+    from uncal.reporting.figures.style import paper_style
+
     with paper_style():
         return [_drawn(figure, origin) for figure in draw()]
 
@@ -74,7 +89,7 @@ def _stored(path: Path, origin: str) -> Picture:
         with Image.open(io.BytesIO(data)) as image:
             image.load()
             texts = {key: v for key, v in image.info.items() if isinstance(v, str)}
-            dpi, width = image.info.get("dpi", (PNG_DPI, PNG_DPI))[0], image.width
+            dpi, width = image.info.get("dpi", (200, 200))[0], image.width
     except (UnidentifiedImageError, OSError, SyntaxError) as error:
         raise UncalError(
             f"{path} is no readable PNG ({error}). Delete {path.parent}: the figures are then "
@@ -85,6 +100,8 @@ def _stored(path: Path, origin: str) -> Picture:
 
 
 def _drawn(figure: NamedFigure, origin: str) -> Picture:
+    from uncal.reporting.figures.named import PNG_DPI
+
     buffer = io.BytesIO()
     figure.figure.savefig(buffer, format="png", dpi=PNG_DPI)
     inches = float(figure.figure.get_size_inches()[0])

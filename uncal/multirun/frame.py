@@ -73,8 +73,11 @@ def summary_csv(jobs: Sequence[Job]) -> str:
     if optional:
         lacking = frame[optional].isna().groupby([frame["folder"], frame["level"]]).transform("all")
         text[optional] = text[optional].mask(lacking, "")
-    used: pd.DataFrame = text.loc[:, (text != "").any()]
-    return used.to_csv(index=False, lineterminator="\n")
+    used = (text != "").any()
+    # Empty for a checkpoint that the user named.
+    used["weights"] |= any("fingerprint" in job.weights for job in jobs)
+    kept: pd.DataFrame = text.loc[:, used]
+    return kept.to_csv(index=False, lineterminator="\n")
 
 
 def write_summary_csv(path: Path, jobs: Sequence[Job]) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
+from typing import NamedTuple
 
 import yaml  # type: ignore[import-untyped]
 
@@ -16,18 +17,7 @@ MCD_ALONE = "MC dropout alone, normal quantiles"
 
 @dataclass(frozen=True)
 class PublishedValue:
-    """One cell of a table of the paper.
-
-    Attributes:
-        table: 1 or 2.
-        data: "real KITTI" or "real DSEC".
-        method: :data:`MCD_CP` in Table 1, :data:`MCD_ALONE` in Table 2.
-        dof: X, Y, Z, Roll, Pitch or Yaw.
-        unit: "%" of ``picp``, else "cm" or "°".
-        level: coverage asked for, percent.
-        metric: ``picp``, ``mpiw`` or ``is``.
-        text: the value as printed.
-    """
+    """One cell of Table 1 or 2; ``text`` is the value as printed, ``level`` percent."""
 
     table: int
     data: str
@@ -44,31 +34,16 @@ class PublishedValue:
         return float(self.text)
 
 
-@dataclass(frozen=True)
-class PublishedError:
-    """Mean errors of the estimate on real KITTI; whether per axis or of the whole is not said.
-
-    Attributes:
-        source: whose.
-        translation: cm, as printed; "0.33-0.89" for a range.
-        rotation: degrees, as printed.
-    """
+class PublishedError(NamedTuple):
+    """Mean errors of the estimate on real KITTI, as printed; per axis or as a whole is not said."""
 
     source: str
     translation: str
     rotation: str
 
 
-@dataclass(frozen=True)
-class PublishedSetting:
-    """How the paper's numbers on one data set came about.
-
-    Attributes:
-        data: "real KITTI" or "real DSEC".
-        network: whose.
-        split: of the frames.
-        dropout: rates.
-    """
+class PublishedSetting(NamedTuple):
+    """Where the paper's numbers on one data set come from."""
 
     data: str
     network: str
@@ -124,7 +99,7 @@ def published_paper() -> PublishedPaper:
     """
     text = files(__package__).joinpath("wacv2025.yaml").read_text(encoding="utf-8")
     content = yaml.safe_load(text)
-    settings = content["settings"]
+    settings, errors = content["settings"], content["point_errors"]
     first = dict(content["table_1"])
     levels = [float(level) for level in first.pop("levels").split()]
     cells = [(dof, level) for dof in DOF_NAMES for level in levels]
@@ -140,25 +115,20 @@ def published_paper() -> PublishedPaper:
         for dof, cell in zip(DOF_NAMES, line.split(), strict=True)
     ]
     return PublishedPaper(
-        title=content["title"],
-        authors=content["authors"],
-        venue=content["venue"],
-        address=content["address"],
+        **{key: content[key] for key in ("title", "authors", "venue", "address")},
         values=tuple(values),
-        errors=tuple(PublishedError(*both) for both in _errors(content["point_errors"])),
+        errors=tuple(
+            PublishedError(name, *texts) for name, texts in content["point_errors"].items()
+        ),
         settings=tuple(
-            PublishedSetting(data=data, **said)
-            for data, said in settings.items()
-            if isinstance(said, dict)
+            PublishedSetting(data=data, **about)
+            for data, about in settings.items()
+            if isinstance(about, dict)
         ),
         passes=int(settings["passes"]),
         decalibration=settings["decalibration"],
         doubts=tuple(content["doubts"]),
     )
-
-
-def _errors(content: dict[str, list[str]]) -> list[tuple[str, str, str]]:
-    return [(source, translation, rotation) for source, (translation, rotation) in content.items()]
 
 
 def _value(
