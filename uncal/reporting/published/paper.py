@@ -99,7 +99,7 @@ def published_paper() -> PublishedPaper:
     """
     text = files(__package__).joinpath("wacv2025.yaml").read_text(encoding="utf-8")
     content = yaml.safe_load(text)
-    settings, errors = content["settings"], content["point_errors"]
+    settings = content["settings"]
     first = dict(content["table_1"])
     levels = [float(level) for level in first.pop("levels").split()]
     cells = [(dof, level) for dof in DOF_NAMES for level in levels]
@@ -117,9 +117,7 @@ def published_paper() -> PublishedPaper:
     return PublishedPaper(
         **{key: content[key] for key in ("title", "authors", "venue", "address")},
         values=tuple(values),
-        errors=tuple(
-            PublishedError(name, *texts) for name, texts in content["point_errors"].items()
-        ),
+        errors=tuple(PublishedError(n, *texts) for n, texts in content["point_errors"].items()),
         settings=tuple(
             PublishedSetting(data=data, **about)
             for data, about in settings.items()
