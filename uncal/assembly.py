@@ -14,11 +14,16 @@ from omegaconf import DictConfig, OmegaConf
 from torch import nn
 
 from uncal.data.datamodule import CalibrationDataModule
+from uncal.data.image_size import size_at_focal
 from uncal.data.network_input import CAMERAS, InputSettings
 from uncal.decalibration import DecalibrationRange
-from uncal.errors import ConfigurationError
+from uncal.errors import ConfigurationError, FrameError, RecordingError
 from uncal.geometry import DOF_NAMES
+from uncal.models.alignment import AlignmentEstimator
+from uncal.models.estimator import PoseEstimator
+from uncal.models.evidence import EvidenceNetwork
 from uncal.models.module import CalibrationModule
+from uncal.models.prediction import SPREADS
 from uncal.recordings.frame import Recording
 from uncal.simulation.cache import ensure_simulated
 from uncal.simulation.manifest import MANIFEST_NAME
@@ -31,14 +36,17 @@ from uncal.uncertainty.single_pass import SinglePass
 
 log = logging.getLogger(__name__)
 
-MCD_KEYS = ("passes", "strategy", "chunk", "masks", "layers", "insert", "seed")
+MCD_KEYS = ("spread", "passes", "strategy", "chunk", "masks", "layers", "insert", "seed")
 INTERVAL_KEYS = ("levels", "sigma_floor", "groups", "quantile_levels", "calibrator")
 
 MODELS = {"rgb": "unical", "events": "muliev"}
 DATASETS = {"rgb": "demo, kitti or kitti_odometry", "events": "demo_events or dsec"}
 """What to choose for a camera, for messages."""
 
-RECIPE = ("seed", "dataset", "model", "split", "mcd", "interval", "decalibration", "augmentation")
+RECIPE = (
+    *("seed", "dataset", "model", "split", "mcd", "interval", "window", "decalibration"),
+    "augmentation",
+)
 """The parts of a configuration that a checkpoint carries: what another process needs to use it."""
 
 
@@ -64,16 +72,49 @@ def build_data(config: DictConfig) -> CalibrationDataModule:
     say_simulated(config)
     recording: Recording = instantiate(dataset.recording)
     log.info("%s data: %d frames in %s", dataset.label, len(recording.frame_ids), dataset.root)
+    focal_px = dataset.get("focal_px")
     return CalibrationDataModule(
         recording=recording,
-        image_size=image_size(dataset.image_size),
+        image_size=image_size(dataset.image_size)
+        if dataset.image_size is not None
+        else recorded_size(recording, focal_px),
         decalibration=instantiate(config.decalibration),
         split=instantiate(config.split),
         loader=instantiate(dataset.loader),
         inputs=inputs,
         augmentation=instantiate(config.augmentation),
         seed=config.seed,
+        window=instantiate(config.window),
+        focal_px=focal_px,
     )
+
+
+def recorded_size(recording: Recording, focal_px: float | None) -> tuple[int, int]:
+    """The size of a recording's images, in multiples of 8 pixels.
+
+    Args:
+        recording: of which the first readable frame is looked at.
+        focal_px: focal length that they are brought to, pixels; None: their own.
+
+    Returns:
+        (H, W) in pixels.
+
+    Raises:
+        RecordingError: no frame can be read.
+    """
+    for frame_id in recording.frame_ids:
+        try:
+            frame = recording.load(frame_id)
+        except FrameError:
+            continue
+        if frame.image is not None:
+            source = (frame.image.shape[0], frame.image.shape[1])
+        else:
+            assert frame.events is not None
+            source = frame.events.size
+        focal = float(frame.K[0, 0])
+        return size_at_focal(source, focal, focal if focal_px is None else focal_px)
+    raise RecordingError("no frame of the recording can be read: see the skipped ones above")
 
 
 def say_simulated(config: DictConfig) -> None:
@@ -130,14 +171,11 @@ def build_module(config: DictConfig) -> CalibrationModule:
         log.info("dropout inserted: %s", ", ".join(added))
     decalibration: DecalibrationRange = instantiate(config.decalibration)
     module = CalibrationModule(
-        network=network,
-        decalibration=decalibration,
+        estimator=_estimator(config, network, decalibration),
         optimizer=instantiate(model.optimization.optimizer),
         warmup_fraction=model.optimization.warmup_fraction,
-        displacement_weight=model.displacement_weight,
-        ridge=model.ridge,
-        quantile_levels=tuple(config.interval.quantile_levels),
         engine=partial(_engine, config.mcd),
+        spread=choice("mcd.spread", config.mcd.spread, SPREADS),
         fixed_masks=choice("mcd.masks", config.mcd.masks, ("random", "fixed")) == "fixed",
         calibrator=_calibrator(config, decalibration),
         groups=choice("interval.groups", config.interval.groups, ("rig", "drive")),
@@ -148,6 +186,23 @@ def build_module(config: DictConfig) -> CalibrationModule:
         {key: _plain(config[key]) for key in RECIPE},
     )
     return module
+
+
+def _estimator(
+    config: DictConfig, network: nn.Module, decalibration: DecalibrationRange
+) -> nn.Module:
+    model = config.model
+    if isinstance(network, EvidenceNetwork):
+        return AlignmentEstimator(
+            network, decalibration.bounds, list(model.rounds), instantiate(model.learning)
+        )
+    return PoseEstimator(
+        network,
+        decalibration.bounds,
+        ridge=model.ridge,
+        displacement_weight=model.displacement_weight,
+        quantile_levels=tuple(config.interval.quantile_levels),
+    )
 
 
 def _engine(mcd: DictConfig, network: nn.Module, masks: FixedMasks | None) -> MCDropout:
@@ -167,7 +222,7 @@ def _calibrator(config: DictConfig, decalibration: DecalibrationRange) -> Interv
             f"interval: {kind.__name__} widens quantiles that the network gives, and this head "
             "gives none: add model/head=quantile"
         )
-    if kind.needs_std and config.mcd.passes == 1:
+    if kind.needs_std and config.mcd.passes == 1 and config.mcd.spread == "dropout":
         raise ConfigurationError(
             f"mcd.passes=1 is one pass without dropout and has no σ, which {kind.__name__} needs: "
             "set at least 2 (the paper: 25), or choose interval=absolute or interval=cqr"

@@ -96,10 +96,10 @@ def measure_trade(
         )
         milliseconds, ratio = _time(module.engine, module.estimator, one[:4], rounds)
         split = "uncertainty_calibration"
-        module.fit_calibrator(predict_split(trainer, module, data, split), data.splits[split])
+        module.fit_calibrator(predict_split(trainer, module, data, split), data.named(split))
         test = predict_split(trainer, module, data, "test")
         error = ((test.mean - test.target).abs().mean(0) * scale).tolist()
-        groups = test.groups(data.splits["test"], module.groups)
+        groups = test.groups(data.named("test"), module.groups)
         for level in map(float, run.interval.levels):
             made = module.calibrator.predict(
                 test.mean, test.std, level, groups=groups, bounds=test.bounds

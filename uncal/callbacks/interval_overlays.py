@@ -59,7 +59,7 @@ class IntervalOverlays(lightning.Callback):
             tested.mean,
             tested.std,
             self.level,
-            groups=tested.groups(data.splits["test"], pl_module.groups),
+            groups=tested.groups(data.named("test"), pl_module.groups),
             bounds=tested.bounds,
         )
         j = DOF_NAMES.index(self.dof)
@@ -89,7 +89,7 @@ class IntervalOverlays(lightning.Callback):
         bounds: tuple[float, float],
         what: str,
     ) -> NDArray[np.uint8] | None:
-        sample = data.datasets["test"][int(tested.place[i])]
+        sample = data.datasets["test"][int(tested.place[i])][0]
         if not isinstance(sample, Sample):
             return None
         estimate, target = tested.mean[i].double(), tested.target[i].double()

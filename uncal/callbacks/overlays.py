@@ -41,7 +41,7 @@ class Overlays(lightning.Callback):
         dataset = data.datasets["validation"]
         count = min(self.frames, len(dataset))
         for i in np.linspace(0, len(dataset) - 1, count).round().astype(int).tolist():
-            sample = dataset[i]
+            sample = dataset[i][0]
             if isinstance(sample, Sample):
                 picture = self._draw(trainer, pl_module, data, sample)
                 name = str(sample.frame)
@@ -55,7 +55,7 @@ class Overlays(lightning.Callback):
         data: CalibrationDataModule,
         sample: Sample,
     ) -> NDArray[np.uint8]:
-        inputs = data.on_after_batch_transfer(collate([sample]).to(module.device), 0)
+        inputs = data.on_after_batch_transfer(collate([[sample]]).to(module.device), 0)
         assert inputs is not None
         with torch.inference_mode(), trainer.precision_plugin.forward_context():
             estimate = module(inputs)

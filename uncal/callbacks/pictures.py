@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from uncal.data.datamodule import CalibrationDataModule
 from uncal.data.dataset import Sample
-from uncal.data.image_size import fit
 from uncal.reporting.overlay import draw_events, overlay_panel
 
 WIDTH_PX = 1000
@@ -35,9 +34,12 @@ def background(data: CalibrationDataModule, sample: Sample) -> NDArray[np.uint8]
     """The (H, W, 3) uint8 RGB picture to draw points on: the image, or the events as a picture."""
     if sample.camera.dtype == torch.uint8:
         return np.ascontiguousarray(sample.camera.numpy().transpose(1, 2, 0))
-    events = data.recording.load(sample.frame).events
+    frame = data.recording.load(sample.frame)
+    events = frame.events
     assert events is not None
-    return draw_events(events, data.image_size, fit(events.size, data.image_size).pixel_map)
+    return draw_events(
+        events, data.image_size, data.datasets["test"].fit(events.size, frame.K).pixel_map
+    )
 
 
 def keep_picture(trainer: Trainer, picture: NDArray[np.uint8], path: Path, tag: str) -> None:

@@ -56,7 +56,7 @@ class Report(lightning.Callback):
             return
         tested = pl_module.tested
         data = trainer.datamodule  # type: ignore[attr-defined]  # Lightning sets it in test()
-        frames = data.splits["test"]
+        frames = data.named("test")
         control = ImageBlindControl.of(trainer)
         self.results = measure(
             tested.mean,
@@ -91,7 +91,7 @@ def run_notes(module: CalibrationModule, data: CalibrationDataModule) -> list[st
     ]
     if data.split_note:
         notes.append(data.split_note)
-    tested = {frame.rig for frame in data.splits["test"]}
+    tested = {frame.rig for frame in data.named("test")}
     others = [ids for name, ids in data.splits.items() if name != "test"]
     if tested.isdisjoint(frame.rig for ids in others for frame in ids):
         notes.append(

@@ -47,7 +47,7 @@ class UncertaintyCalibration(lightning.Callback):
         module, data = _ours(trainer, pl_module)
         self._fit(trainer, module, data)
         validation = predict_split(trainer, module, data, "validation", self.monitored)
-        frames = data.splits["validation"]
+        frames = data.named("validation")
         for level in self.levels:
             module.log_dict(interval_metrics(module, validation, frames, level))
 
@@ -66,7 +66,7 @@ class UncertaintyCalibration(lightning.Callback):
         if module.tested is None:
             return
         for level in self.levels:
-            metrics = interval_metrics(module, module.tested, data.splits["test"], level)
+            metrics = interval_metrics(module, module.tested, data.named("test"), level)
             values = {f"test {name}": value.item() for name, value in metrics.items()}
             for logger in trainer.loggers:
                 logger.log_metrics(values, trainer.global_step)
@@ -75,7 +75,7 @@ class UncertaintyCalibration(lightning.Callback):
         self, trainer: Trainer, module: CalibrationModule, data: CalibrationDataModule
     ) -> None:
         split = "uncertainty_calibration"
-        module.fit_calibrator(predict_split(trainer, module, data, split), data.splits[split])
+        module.fit_calibrator(predict_split(trainer, module, data, split), data.named(split))
 
 
 def interval_metrics(

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from uncal.data.dataset import Batch
+from uncal.edges.sweep import KIND, N_ACROSS, SIDE
 
 
 def mirror(batch: Batch, which: Tensor) -> Batch:
@@ -31,10 +32,14 @@ def mirror(batch: Batch, which: Tensor) -> Batch:
     sign = torch.where(which, -1.0, 1.0)
     points = batch.points.clone()
     points[..., 1] *= sign[:, None]
+    edges = batch.edges.clone()
+    edges[..., 1] *= sign[:, None]
+    across = edges[..., KIND] < N_ACROSS
+    edges[..., SIDE] = torch.where(across, edges[..., SIDE] * sign[:, None], edges[..., SIDE])
     T = batch.T_cam_lidar.clone()
     T[:, 0, :] *= sign[:, None]
     T[:, :, 1] *= sign[:, None]
-    return batch._replace(camera=camera, K=K, points=points, T_cam_lidar=T)
+    return batch._replace(camera=camera, K=K, points=points, edges=edges, T_cam_lidar=T)
 
 
 @dataclass(frozen=True)

@@ -12,15 +12,19 @@ import torch.distributed as dist
 from torch.utils.data import DataLoader, Dataset, Subset
 
 from uncal.data.augmentation import Augmentation
-from uncal.data.dataset import Batch, FrameDataset, Sample, SkippedFrame, collate
+from uncal.data.dataset import Batch, FrameDataset, Item, collate
 from uncal.data.network_input import InputSettings, NetworkInput, make_input
 from uncal.data.split_settings import SplitSettings
 from uncal.data.splits import SPLITS
+from uncal.data.windows import WindowSettings, units_of
 from uncal.decalibration import DecalibrationRange
 from uncal.errors import RecordingError
-from uncal.recordings.frame import Recording
+from uncal.recordings.frame import FrameId, Recording
 
 log = logging.getLogger(__name__)
+
+WINDOWED: tuple[str, ...] = ("uncertainty_calibration", "test")
+"""Splits whose unit is a window of frames."""
 
 
 @dataclass(frozen=True)
@@ -56,9 +60,13 @@ class CalibrationDataModule(lightning.LightningDataModule):
         inputs: channels and scales of the network's input.
         augmentation: applied to training batches.
         seed: of the fixed draws in the evaluation splits.
+        window: what one estimate is made of, in uncertainty calibration and test; training and
+            validation look at single frames.
+        focal_px: focal length that images are brought to, pixels; None: as ``image_size`` says.
 
     Attributes:
         splits: split → its frames.
+        units: split → its frames, unit by unit; see :mod:`uncal.data.windows`.
         split_note: what a reader must know of the split; empty where its name says it all.
     """
 
@@ -72,8 +80,12 @@ class CalibrationDataModule(lightning.LightningDataModule):
         inputs: InputSettings,
         augmentation: Augmentation,
         seed: int,
+        window: WindowSettings | None = None,
+        focal_px: float | None = None,
     ) -> None:
         super().__init__()
+        self.window = WindowSettings(1) if window is None else window
+        self.focal_px = focal_px
         self.recording = recording
         self.image_size = image_size
         self.decalibration = decalibration
@@ -84,20 +96,34 @@ class CalibrationDataModule(lightning.LightningDataModule):
         self.split_by = split.by
         if not recording.frame_ids:
             raise RecordingError("the recording holds no usable frame: see the skipped ones above")
-        self.splits, self.split_note = split.split(recording.frame_ids)
+        self.splits, self.split_note = split.split(recording.frame_ids, self.window.frames)
+        self.units = {
+            name: units_of(frames, self.window.frames if name in WINDOWED else 1)
+            for name, frames in self.splits.items()
+        }
         self.datasets = {name: self._dataset(name) for name in SPLITS}
         self.skipped: dict[str, str] = dict(recording.skipped)
 
     def _dataset(self, split: str) -> FrameDataset:
         return FrameDataset(
             self.recording,
-            self.splits[split],
+            self.units[split],
             self.image_size,
             self.decalibration,
             None if split == "train" else self.seed,
             self.loader.cache,
             self.inputs.events,
+            self.inputs.edges,
+            self.focal_px,
         )
+
+    def named(self, split: str) -> list[FrameId]:
+        """The units of a split, each by its first frame.
+
+        Args:
+            split: a name of :data:`uncal.data.splits.SPLITS`.
+        """
+        return [unit[0] for unit in self.units[split]]
 
     def loader_of(
         self,
@@ -110,17 +136,18 @@ class CalibrationDataModule(lightning.LightningDataModule):
 
         Args:
             split: a name of :data:`uncal.data.splits.SPLITS`.
-            most: frames at most, spread evenly over the split; None: all.
+            most: units at most, spread evenly over the split; None: all.
             share: (rank, world size): every so many-th of them, for one of several processes.
-            order: numbers of the frames to load, in that order, in place of the two above.
+            order: numbers of the units to load, in that order, in place of the two above.
 
         Returns:
             A new loader.
         """
         training = split == "train"
         size = self.loader.batch_size if training else self.loader.eval_batch_size
-        dataset: Dataset[Sample | SkippedFrame] = self.datasets[split]
-        n = len(self.splits[split])
+        dataset: Dataset[Item] = self.datasets[split]
+        n = len(self.units[split])
+        size = max(1, size // len(self.units[split][0])) if n else size
         used = n if most is None else min(n, most)
         evenly = [i * n // used for i in range(used)][share[0] :: share[1]]
         chosen = evenly if order is None else list(order)
@@ -181,5 +208,5 @@ class CalibrationDataModule(lightning.LightningDataModule):
         decalibration = batch.decalibration
         if decalibration is None:
             batch = self.augmentation(batch)
-            decalibration = self.decalibration.draw(len(batch.frames), batch.camera.device)
+            decalibration = self.decalibration.draw(len(batch.place), batch.camera.device)
         return make_input(batch, decalibration, self.inputs)

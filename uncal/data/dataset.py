@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import torch
@@ -12,8 +12,11 @@ from torch import Tensor
 from torch.utils.data import Dataset
 
 from uncal.data.culling import frustum_mask
-from uncal.data.image_size import fit, resize_and_crop
+from uncal.data.image_size import Fit, fit, fit_focal, resize_and_crop
+from uncal.data.windows import Unit
 from uncal.decalibration import DecalibrationRange
+from uncal.edges.selection import select_edges
+from uncal.edges.sweep import COLUMNS, find_edges
 from uncal.errors import FrameError
 from uncal.events.representations import EventRepresentation
 from uncal.recordings.frame import Frame, FrameId, Recording
@@ -25,10 +28,11 @@ class Sample(NamedTuple):
     """One frame, ready to be batched.
 
     Attributes:
-        place: its number in the split.
+        place: number of its unit in the split.
         frame: its name.
         camera: (3, H, W) uint8 RGB, or (C, H, W) float16 events as their representation draws them.
         points: (n, 4) float32 culled sweep, LiDAR frame, metres and reflectance.
+        edges: (m, columns) float32 edges of the sweep, :data:`uncal.edges.sweep.COLUMNS`.
         K: (3, 3) float32 camera matrix at this size.
         T_cam_lidar: (4, 4) float32 true extrinsic.
         decalibration: (6,) fixed draw of the evaluation splits, or None where training draws anew.
@@ -38,6 +42,7 @@ class Sample(NamedTuple):
     frame: FrameId
     camera: Tensor
     points: Tensor
+    edges: Tensor
     K: Tensor
     T_cam_lidar: Tensor
     decalibration: Tensor | None
@@ -53,21 +58,27 @@ class SkippedFrame(NamedTuple):
 class Batch(NamedTuple):
     """Samples stacked; sweeps are padded to the longest with rows of NaN, which nothing sees.
 
+    A unit is what one estimate is for: a frame, or a window of frames that share an extrinsic.
+
     Attributes:
-        place: (B,) int64 numbers of the frames in their split.
+        place: (n,) int64 numbers of the units in their split.
+        unit: (B,) int64 which of the n units each frame belongs to, ascending.
         frames: the B frames.
         camera: (B, 3, H, W) uint8 RGB, or (B, C, H, W) float16 events.
         points: (B, N, 4) float32, LiDAR frame.
+        edges: (B, M, columns) float32 edges of the sweeps; rows of NaN pad.
         K: (B, 3, 3) float32.
         T_cam_lidar: (B, 4, 4) float32 true extrinsics.
-        decalibration: (B, 6), or None where training draws anew.
+        decalibration: (n, 6), or None where training draws anew.
         skipped: frames left out because they could not be read.
     """
 
     place: Tensor
+    unit: Tensor
     frames: list[FrameId]
     camera: Tensor
     points: Tensor
+    edges: Tensor
     K: Tensor
     T_cam_lidar: Tensor
     decalibration: Tensor | None
@@ -93,63 +104,85 @@ class Batch(NamedTuple):
         fixed = self.decalibration
         return self._replace(
             place=function(self.place),
+            unit=function(self.unit),
             camera=function(self.camera),
             points=function(self.points),
+            edges=function(self.edges),
             K=function(self.K),
             T_cam_lidar=function(self.T_cam_lidar),
             decalibration=None if fixed is None else function(fixed),
         )
 
 
-class FrameDataset(Dataset["Sample | SkippedFrame"]):
-    """Loads the frames of one split, at the network's size and culled.
+Item: TypeAlias = "list[Sample | SkippedFrame]"
+"""The frames of one unit."""
+
+
+class FrameDataset(Dataset[Item]):
+    """Loads the units of one split, frame by frame, at the network's size and culled.
 
     Points that no decalibration within the range can bring into the image are left out here, so
     that they are neither copied nor projected; see :mod:`uncal.data.culling`.
 
     Args:
         recording: where the frames come from.
-        frame_ids: the frames of this split.
+        units: the frames of this split, unit by unit.
         image_size: (H, W) of the network's images, pixels.
         decalibration: the range that culling must respect and fixed draws come from.
         fixed_seed: evaluation splits: the decalibration is a pure function of it and the frame's
-            name; None: training, which draws per step on the device.
+            name (of a window, its first frame's); None: training, which draws per step on the
+            device.
         cache: keep samples in memory after their first use.
         events: draws the events of an event camera; None where no channel shows them.
+        edges: most edges of a sweep to keep; 0: find none.
+        focal_px: focal length that images are brought to, pixels; None: ``image_size`` alone says
+            how images are resized.
     """
 
     def __init__(
         self,
         recording: Recording,
-        frame_ids: Sequence[FrameId],
+        units: Sequence[Unit],
         image_size: tuple[int, int],
         decalibration: DecalibrationRange,
         fixed_seed: int | None,
         cache: bool,
         events: EventRepresentation | None = None,
+        edges: int = 0,
+        focal_px: float | None = None,
     ) -> None:
         self.recording = recording
-        self.frame_ids = list(frame_ids)
+        self.units = list(units)
         self.image_size = image_size
         self.decalibration = decalibration
         self.fixed_seed = fixed_seed
         self.events = events
-        self._cache: dict[int, Sample | SkippedFrame] | None = {} if cache else None
+        self.edges = edges
+        self.focal_px = focal_px
+        self._cache: dict[int, Item] | None = {} if cache else None
 
     def __len__(self) -> int:
-        """Number of frames, readable or not."""
-        return len(self.frame_ids)
+        """Number of units, readable or not."""
+        return len(self.units)
 
-    def __getitem__(self, index: int) -> Sample | SkippedFrame:
-        """Load one frame; one that cannot be read comes back as :class:`SkippedFrame`."""
+    def __getitem__(self, index: int) -> Item:
+        """Load one unit; a frame that cannot be read comes back as :class:`SkippedFrame`."""
         if self._cache is None:
             return self._load(index)
         if index not in self._cache:
             self._cache[index] = self._load(index)
         return self._cache[index]
 
-    def _load(self, index: int) -> Sample | SkippedFrame:
-        frame_id = self.frame_ids[index]
+    def _load(self, index: int) -> Item:
+        unit = self.units[index]
+        fixed = None
+        if self.fixed_seed is not None:
+            fixed = self.decalibration.draw_for(self.fixed_seed, str(unit[0]))
+        return [self._load_frame(index, frame_id, fixed) for frame_id in unit]
+
+    def _load_frame(
+        self, index: int, frame_id: FrameId, fixed: Tensor | None
+    ) -> Sample | SkippedFrame:
         try:
             frame = self.recording.load(frame_id)
             camera, K = self._camera(frame)
@@ -163,27 +196,41 @@ class FrameDataset(Dataset["Sample | SkippedFrame"]):
             self.decalibration.rotation,
             self.decalibration.translation,
         )
-        fixed = None
-        if self.fixed_seed is not None:
-            fixed = self.decalibration.draw_for(self.fixed_seed, str(frame_id))
         return Sample(
             place=index,
             frame=frame_id,
             camera=camera,
             points=torch.from_numpy(frame.points[near]),
+            edges=torch.from_numpy(self._edges(frame, K)),
             K=torch.from_numpy(K.astype(np.float32)),
             T_cam_lidar=torch.from_numpy(frame.T_cam_lidar.astype(np.float32)),
             decalibration=fixed,
         )
 
+    def _edges(self, frame: Frame, K: NDArray[np.float64]) -> NDArray[np.float32]:
+        """Those that some decalibration within the range can bring into the image."""
+        if self.edges == 0:
+            return np.empty((0, len(COLUMNS)), np.float32)
+        edges = find_edges(frame.points)
+        near = frustum_mask(
+            edges[:, :3],
+            frame.T_cam_lidar,
+            K,
+            self.image_size,
+            self.decalibration.rotation,
+            self.decalibration.translation,
+        )
+        return select_edges(edges[near], self.edges, seed=frame.id.index)
+
     def _camera(self, frame: Frame) -> tuple[Tensor, NDArray[np.float64]]:
         """The camera's tensor at the network's size, and the camera matrix that goes with it."""
         if frame.image is not None:
-            image, K = resize_and_crop(frame.image, frame.K, self.image_size)
+            how = self.fit((frame.image.shape[0], frame.image.shape[1]), frame.K)
+            image, K = resize_and_crop(frame.image, frame.K, how, self.image_size)
             return torch.from_numpy(np.ascontiguousarray(image.transpose(2, 0, 1))), K
         if frame.events is None:
             raise FrameError("the frame has neither an image nor events")
-        how = fit(frame.events.size, self.image_size)
+        how = self.fit(frame.events.size, frame.K)
         K = how.camera_matrix(frame.K)
         if self.events is None:
             return torch.empty(0, *self.image_size, dtype=torch.float16), K
@@ -191,31 +238,55 @@ class FrameDataset(Dataset["Sample | SkippedFrame"]):
         # Half precision, or the cached demo would take gigabytes; counts beyond it stay finite.
         return drawn.clamp(-_LARGEST, _LARGEST).half(), K
 
+    def fit(self, source: tuple[int, int], K: NDArray[np.float64]) -> Fit:
+        """How a sensor's image comes to the network's size.
 
-def collate(items: Sequence[Sample | SkippedFrame]) -> Batch:
+        Args:
+            source: (h, w) of the sensor's image, pixels.
+            K: (3, 3) its camera matrix, pixels.
+        """
+        if self.focal_px is None:
+            return fit(source, self.image_size)
+        return fit_focal(source, float(K[0, 0]), self.focal_px, self.image_size)
+
+
+def collate(items: Sequence[Item]) -> Batch:
     """Stack the readable samples; a batch of none has B = 0.
 
+    A window of which a frame cannot be read goes on with the others.
+
     Args:
-        items: what :class:`FrameDataset` returned.
+        items: what :class:`FrameDataset` returned, unit by unit.
 
     Returns:
         The batch, with the unreadable frames in ``skipped``.
     """
-    skipped = [item for item in items if isinstance(item, SkippedFrame)]
-    samples = [item for item in items if isinstance(item, Sample)]
+    frames = [frame for item in items for frame in item]
+    skipped = [frame for frame in frames if isinstance(frame, SkippedFrame)]
+    samples = [frame for frame in frames if isinstance(frame, Sample)]
     if not samples:
         empty = torch.empty(0)
-        return Batch(empty.long(), [], empty, empty, empty, empty, None, skipped)
+        none = empty.long()
+        return Batch(none, none, [], empty, empty, empty, empty, empty, None, skipped)
+    places = torch.tensor([sample.place for sample in samples])
+    place, unit = places.unique_consecutive(return_inverse=True)
+    first = [samples[i] for i in range(len(samples)) if i == 0 or unit[i] != unit[i - 1]]
     longest = max(len(sample.points) for sample in samples)
     points = torch.full((len(samples), longest, 4), float("nan"))
     for row, sample in zip(points, samples, strict=True):
         row[: len(sample.points)] = sample.points
-    fixed = [sample.decalibration for sample in samples if sample.decalibration is not None]
+    most = max(len(sample.edges) for sample in samples)
+    edges = torch.full((len(samples), most, samples[0].edges.shape[1]), float("nan"))
+    for row, sample in zip(edges, samples, strict=True):
+        row[: len(sample.edges)] = sample.edges
+    fixed = [sample.decalibration for sample in first if sample.decalibration is not None]
     return Batch(
-        place=torch.tensor([sample.place for sample in samples]),
+        place=place,
+        unit=unit,
         frames=[sample.frame for sample in samples],
         camera=torch.stack([sample.camera for sample in samples]),
         points=points,
+        edges=edges,
         K=torch.stack([sample.K for sample in samples]),
         T_cam_lidar=torch.stack([sample.T_cam_lidar for sample in samples]),
         decalibration=torch.stack(fixed) if fixed else None,

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from uncal.errors import ConfigurationError
+from uncal.errors import ConfigurationError, FrameError
 from uncal.events.pixel_map import PixelMap
 
 
@@ -79,30 +79,76 @@ def fit(source: tuple[int, int], size: tuple[int, int]) -> Fit:
     return Fit(source, resized, (resized[0] - height) // 2, (resized[1] - width) // 2)
 
 
+def fit_focal(source: tuple[int, int], focal: float, wanted: float, size: tuple[int, int]) -> Fit:
+    """Scale to a focal length and crop the middle: what a pixel shows is then as in training.
+
+    Args:
+        source: (h, w) of the sensor's image, pixels.
+        focal: of that image, pixels.
+        wanted: focal length wanted, pixels.
+        size: (H, W) wanted, pixels; at most the scaled image.
+
+    Returns:
+        How; whole pixels throughout.
+
+    Raises:
+        FrameError: the scaled image is smaller than ``size``.
+
+    >>> fit_focal((375, 1242), 721.5, 460.0, (232, 784))
+    Fit(source=(375, 1242), resized=(239, 792), top=3, left=4)
+    """
+    scale = wanted / focal
+    resized = round(source[0] * scale), round(source[1] * scale)
+    if resized[0] < size[0] or resized[1] < size[1]:
+        raise FrameError(
+            f"the image of {source[0]}×{source[1]} px has {resized[0]}×{resized[1]} px at a focal "
+            f"length of {wanted:.0f} px, fewer than the {size[0]}×{size[1]} that the first frame "
+            "has; give dataset.image_size=[H, W] that all frames cover"
+        )
+    return Fit(source, resized, (resized[0] - size[0]) // 2, (resized[1] - size[1]) // 2)
+
+
+def size_at_focal(
+    source: tuple[int, int], focal: float, wanted: float, multiple: int = 8
+) -> tuple[int, int]:
+    """Largest (H, W), in multiples of some pixels, that an image covers at a focal length.
+
+    Args:
+        source: (h, w) of the sensor's image, pixels.
+        focal: of that image, pixels.
+        wanted: focal length wanted, pixels.
+        multiple: what both sides are multiples of.
+
+    >>> size_at_focal((375, 1242), 721.5, 460.0)
+    (232, 792)
+    """
+    height, width = (round(side * wanted / focal) // multiple * multiple for side in source)
+    return height, width
+
+
 def resize_and_crop(
     image: NDArray[np.uint8],
     K: NDArray[np.float64],
+    how: Fit,
     size: tuple[int, int],
 ) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
-    """Bring an image to the network's size; see :func:`fit`.
+    """Bring an image to the network's size.
 
     Args:
         image: (h, w, 3) uint8.
         K: (3, 3) its camera matrix, pixels.
+        how: :func:`fit` or :func:`fit_focal` of the image's size.
         size: (H, W) wanted, pixels.
 
     Returns:
         The (H, W, 3) image and its (3, 3) camera matrix.
 
-    Raises:
-        ConfigurationError: ``size`` is not positive.
-
     >>> K = np.array([[100.0, 0, 49.5], [0, 100.0, 19.5], [0, 0, 1]])
-    >>> half, K_half = resize_and_crop(np.zeros((40, 100, 3), np.uint8), K, (20, 40))
+    >>> how = fit((40, 100), (20, 40))
+    >>> half, K_half = resize_and_crop(np.zeros((40, 100, 3), np.uint8), K, how, (20, 40))
     >>> half.shape, K_half[0].tolist(), K_half[1].tolist()
     ((20, 40, 3), [50.0, 0.0, 19.5], [0.0, 50.0, 9.5])
     """
-    how = fit((image.shape[0], image.shape[1]), size)
     K = how.camera_matrix(K)
     if how.source == size:
         return image, K

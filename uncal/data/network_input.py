@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
+from torch.nn import functional as F
 
 from uncal.data.dataset import Batch
 from uncal.decalibration import decalibrate
@@ -31,9 +32,11 @@ class NetworkInput(NamedTuple):
         inverse_depth: (B, 1, H, W) 1/m of the decalibrated projection; 0 where no point falls.
         K: (B, 3, 3) camera matrices.
         T_init: (B, 4, 4) decalibrated extrinsics, the ones the projection used.
-        target: (B, 6) the decalibration to be found, metres and radians.
-        place: (B,) int64 numbers of the frames in their split.
-        frames: the frames.
+        target: (n, 6) the decalibration to be found of each unit, metres and radians.
+        place: (n,) int64 numbers of the units in their split.
+        frames: the B frames.
+        unit: (B,) int64 which of the n units each frame belongs to; see :mod:`uncal.data.windows`.
+        edges: (B, M, columns) edges of the sweeps; rows of NaN pad.
     """
 
     x: Tensor
@@ -43,6 +46,8 @@ class NetworkInput(NamedTuple):
     target: Tensor
     place: Tensor
     frames: list[FrameId]
+    unit: Tensor
+    edges: Tensor
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,6 +63,7 @@ class InputSettings:
         rgb_std: divides RGB after that.
         events: draws the events; None for a network that reads none.
         events_scale: multiplies what it draws.
+        edges: most edges of a sweep that the network is given; 0: it reads none.
     """
 
     channels: Sequence[str]
@@ -68,6 +74,7 @@ class InputSettings:
     rgb_std: float = 1.0
     events: EventRepresentation | None = None
     events_scale: float = 1.0
+    edges: int = 0
 
     def __post_init__(self) -> None:
         """Check the channels.
@@ -109,7 +116,7 @@ def make_input(batch: Batch, decalibration: Tensor, settings: InputSettings) -> 
 
     Args:
         batch: B samples, on any device.
-        decalibration: (B, 6) metres and radians.
+        decalibration: (n, 6) of each unit, metres and radians.
         settings: channels and scales.
 
     Returns:
@@ -118,7 +125,7 @@ def make_input(batch: Batch, decalibration: Tensor, settings: InputSettings) -> 
     Raises:
         ConfigurationError: the network reads rgb and the batch holds events, or the reverse.
     """
-    T_init = decalibrate(batch.T_cam_lidar, decalibration)
+    T_init = decalibrate(batch.T_cam_lidar, decalibration[batch.unit])
     size = (batch.camera.shape[-2], batch.camera.shape[-1])
     projection = project(batch.points, T_init, batch.K, size)
     parts = []
@@ -131,8 +138,31 @@ def make_input(batch: Batch, decalibration: Tensor, settings: InputSettings) -> 
             parts.append(projection.intensity * settings.intensity_scale)
     x = torch.cat(parts, 1)
     return NetworkInput(
-        x, projection.inverse_depth, batch.K, T_init, decalibration, batch.place, batch.frames
+        x=x,
+        inverse_depth=projection.inverse_depth,
+        K=batch.K,
+        T_init=T_init,
+        target=decalibration,
+        place=batch.place,
+        frames=batch.frames,
+        unit=batch.unit,
+        edges=padded(batch.edges, settings.edges),
     )
+
+
+def padded(edges: Tensor, rows: int) -> Tensor:
+    """Edges in a fixed number of rows, so that the shape never depends on the batch.
+
+    Args:
+        edges: (B, m, columns), of which any first part is a fair sample.
+        rows: M wanted.
+
+    Returns:
+        (B, M, columns).
+    """
+    edges = edges[:, :rows]
+    missing = rows - edges.shape[1]
+    return F.pad(edges, (0, 0, 0, missing), value=float("nan")) if missing else edges
 
 
 def _camera(camera: Tensor, settings: InputSettings) -> Tensor:

@@ -45,11 +45,13 @@ class SplitSettings:
     test: str = "own"
     train_frames: int | None = None
 
-    def split(self, frame_ids: Sequence[FrameId]) -> FrameSplit:
+    def split(self, frame_ids: Sequence[FrameId], window: int = 1) -> FrameSplit:
         """Share frames out.
 
         Args:
             frame_ids: all of them.
+            window: consecutive frames that one estimate is made of; ``frame`` and ``block`` keep
+                whole windows together, so that those of one split never reach into another.
 
         Returns:
             The split; frames that a setting leaves out are in none.
@@ -60,7 +62,7 @@ class SplitSettings:
         self._check()
         kept, away = put_rigs_away(frame_ids, self.unseen_rigs, self.seed)
         try:
-            shared = self._share_out(kept)
+            shared = self._share_out(kept, window)
         except ConfigurationError as error:
             if not away:
                 raise
@@ -101,9 +103,19 @@ class SplitSettings:
                 "rig"
             )
 
-    def _share_out(self, frame_ids: Sequence[FrameId]) -> FrameSplit:
+    def _share_out(self, frame_ids: Sequence[FrameId], window: int) -> FrameSplit:
         if self.by == "official" and self.official is not None:
             return split_officially(frame_ids, self.official, self.seed)
+        if self.by == "frame" and window > 1:
+            return FrameSplit(
+                split_frames(frame_ids, "block", self.fractions, self.seed, window),
+                f"Windows of {window} consecutive frames are kept whole.",
+            )
+        if self.by == "block" and (self.block_frames or 0) % window:
+            raise ConfigurationError(
+                f"split.block_frames={self.block_frames}: expected a multiple of "
+                f"window.frames={window}, so that no window reaches into another split"
+            )
         whole = split_frames(frame_ids, self.by, self.fractions, self.seed, self.block_frames)
         if self.by != "block":
             return FrameSplit(whole, "")

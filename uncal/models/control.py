@@ -12,7 +12,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from uncal.data.datamodule import CalibrationDataModule
-from uncal.data.dataset import FrameDataset, Sample
+from uncal.data.dataset import Batch, FrameDataset, Sample
 from uncal.models.module import CalibrationModule
 from uncal.models.prediction import frame_seed
 from uncal.recordings.frame import FrameId
@@ -94,7 +94,7 @@ def image_blind_control(
     """
     if split == "train":
         raise ValueError("the control compares two estimates of one decalibration: not of train.")
-    order = control_order(data.splits[split], data.seed)
+    order = control_order(data.named(split), data.seed)
     rank, processes = trainer.global_rank, trainer.world_size
     mine = order[len(order) * rank // processes : len(order) * (rank + 1) // processes]
     parts = _estimate(trainer, module, data, split, order, mine)
@@ -112,7 +112,7 @@ def image_blind_control(
                 split,
             )
         return None
-    frames = tuple(data.splits[split][i] for i in place.tolist())
+    frames = tuple(data.named(split)[i] for i in place.tolist())
     return ControlPrediction(place, frames, *torch.split(values, 6, dim=1))
 
 
@@ -138,10 +138,10 @@ def _estimate(
                 continue
             if before is None:
                 before = _camera_before(data.datasets[split], order, int(batch.place[0]))
-            if before is None:  # the only readable frame of the split
+            if before is None:  # the only readable unit of the split
                 continue
-            cameras = torch.cat([before.to(batch.camera.device), batch.camera[:-1]])
-            before = batch.camera[-1:]
+            cameras = _of_units_before(before.to(batch.camera.device), batch)
+            before = batch.camera[batch.unit == batch.unit[-1]]
             other = data.on_after_batch_transfer(batch._replace(camera=cameras), 0)
             assert other is not None
             with trainer.precision_plugin.forward_context():
@@ -151,13 +151,29 @@ def _estimate(
 
 
 def _camera_before(dataset: FrameDataset, order: Sequence[int], place: int) -> Tensor | None:
-    """(1, C, H, W) camera of the last readable frame before one in a cyclic order.
+    """(W, C, H, W) cameras of the last readable unit before one in a cyclic order.
 
     It is read here a second time, as another process or a later batch has it.
     """
     at = order.index(place)
     for index in (*reversed(order[:at]), *reversed(order[at + 1 :])):
-        sample = dataset[index]
-        if isinstance(sample, Sample):
-            return sample.camera[None]
+        cameras = [frame.camera for frame in dataset[index] if isinstance(frame, Sample)]
+        if cameras:
+            return torch.stack(cameras)
     return None
+
+
+def _of_units_before(before: Tensor, batch: Batch) -> Tensor:
+    """(B, C, H, W) for each frame the camera of the unit before, frame by frame.
+
+    Args:
+        before: (W, C, H, W) cameras of the unit before the first.
+        batch: B frames.
+    """
+    cameras = []
+    for unit in range(len(batch.place)):
+        own = batch.camera[batch.unit == unit]
+        # A window with a frame that could not be read is shorter than its neighbour.
+        cameras.append(before[torch.arange(len(own), device=own.device) % len(before)])
+        before = own
+    return torch.cat(cameras)

@@ -7,7 +7,12 @@ from typing import NamedTuple, cast
 import torch
 from torch import Tensor, nn
 
+from uncal.data.network_input import NetworkInput
+from uncal.displacement import true_displacement
+from uncal.errors import ConfigurationError
+from uncal.models.answer import Answer, Question
 from uncal.models.geometric import GeometricSolver, GridPoints, PointGeometry
+from uncal.models.losses import displacement_loss, pinball_loss, pose_loss
 
 
 class DisplacementMap(NamedTuple):
@@ -44,17 +49,81 @@ class PoseEstimator(nn.Module):
             upper quantile behind the pose, or → (B, 4, h, w).
         bounds: (6,) range of the decalibrations, metres and radians.
         ridge: initial ridge of the solver.
+        displacement_weight: weight of the displacement loss (per pixel) beside the pose loss.
+        quantile_levels: what the outputs of a quantile head stand for, such as 0.05 and 0.95.
     """
 
     bounds: Tensor
 
-    def __init__(self, network: nn.Module, bounds: Tensor, ridge: float) -> None:
+    def __init__(
+        self,
+        network: nn.Module,
+        bounds: Tensor,
+        ridge: float,
+        displacement_weight: float,
+        quantile_levels: tuple[float, float],
+    ) -> None:
         super().__init__()
+        self.displacement_weight = displacement_weight
+        self.quantile_levels = quantile_levels
         # Channels last is what convolutions on CPUs and tensor cores are fastest with.
         self.network: nn.Module = network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.geometry = PointGeometry(bounds)
         self.solver = GeometricSolver(bounds, ridge)
         self.register_buffer("bounds", bounds.clone(), persistent=False)
+
+    @property
+    def repeated(self) -> nn.Module:
+        """What stochastic passes repeat: all of it."""
+        return self
+
+    def pose(self, batch: NetworkInput) -> Tensor:
+        """(n, 6) estimates, metres and radians.
+
+        Args:
+            batch: single frames.
+        """
+        return self.estimate(*_single(batch)).pose
+
+    def question(self, batch: NetworkInput) -> Question:
+        """The network's own arguments.
+
+        Args:
+            batch: single frames.
+        """
+        return Question(_single(batch), None)
+
+    def answer(self, samples: Tensor, batch: NetworkInput, question: Question) -> Answer:
+        """The passes as they are; there is no covariance but that of dropout.
+
+        Args:
+            samples: (N, B, 6 or 18).
+            batch: the same batch.
+            question: what was asked.
+        """
+        return Answer(samples, None)
+
+    def loss(self, batch: NetworkInput) -> Tensor:
+        """Pose loss plus, for a displacement map, the loss of the map itself.
+
+        Args:
+            batch: B single frames.
+
+        Returns:
+            Scalar.
+        """
+        estimate = self.estimate(*_single(batch))
+        loss = pose_loss(estimate.pose, batch.target, self.bounds)
+        if estimate.displacement is not None:
+            flow, points = estimate.displacement
+            truth = true_displacement(points.points_cam, batch.K, batch.T_init, batch.target)
+            displacement = flow[:, :2].flatten(2).transpose(1, 2)
+            error = displacement_loss(displacement, truth, points.seen)
+            loss = loss + self.displacement_weight * error
+        if estimate.quantiles is not None:
+            for level, quantile in zip(self.quantile_levels, estimate.quantiles, strict=True):
+                loss = loss + pinball_loss(quantile, batch.target, level, self.bounds)
+        return loss
 
     def estimate(self, x: Tensor, inverse_depth: Tensor, K: Tensor, T_init: Tensor) -> Estimate:
         """The network and, where needed, the solver.
@@ -96,3 +165,12 @@ class PoseEstimator(nn.Module):
         if estimate.quantiles is None:
             return estimate.pose
         return torch.cat([estimate.pose, *estimate.quantiles], 1)
+
+
+def _single(batch: NetworkInput) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    if len(batch.place) != len(batch.x):
+        raise ConfigurationError(
+            "window.frames above 1 adds up the normal equations of several frames, and this "
+            "network has none: use model/backbone=edges, or window.frames=1"
+        )
+    return batch.x, batch.inverse_depth, batch.K, batch.T_init

@@ -43,7 +43,6 @@ def predict_split(
             if inputs is None:
                 continue
             with trainer.precision_plugin.forward_context():
-                prediction = module.stochastic(inputs, split)
-            parts.append(SplitPrediction.of(prediction, inputs))
+                parts.append(module.stochastic(inputs, split))
     data.share_skipped()
     return join_predictions(parts, split)

@@ -14,11 +14,9 @@ from torch.optim import Optimizer
 from torch.optim.lr_scheduler import LambdaLR
 
 from uncal.data.network_input import NetworkInput
-from uncal.decalibration import DecalibrationRange
 from uncal.geometry import DOF_NAMES
-from uncal.models.estimator import PoseEstimator
-from uncal.models.geometric import true_displacement
-from uncal.models.losses import displacement_loss, pinball_loss, pose_loss, relative_error
+from uncal.models.answer import Estimator
+from uncal.models.losses import relative_error
 from uncal.models.prediction import SplitPrediction, frame_seed, join_predictions
 from uncal.recordings.frame import FrameId
 from uncal.uncertainty.calibrator import IntervalCalibrator
@@ -32,17 +30,14 @@ NOT_LEARNT = ("calibrator.", "masks.")
 
 
 class CalibrationModule(lightning.LightningModule):
-    """Owns loss, optimiser and schedule, for any network that :class:`PoseEstimator` accepts.
+    """Owns optimiser and schedule, stochastic passes and calibrator, for any estimator.
 
     Args:
-        network: the backbone with its head.
-        decalibration: the range of the decalibrations, which scales outputs and loss.
+        estimator: the network and what turns its output into poses.
         optimizer: parameters → optimiser.
         warmup_fraction: part of the training steps in which the learning rate rises.
-        displacement_weight: weight of the displacement loss (per pixel) beside the pose loss.
-        ridge: initial ridge of the geometric head's solver.
-        quantile_levels: what the outputs of a quantile head stand for, such as 0.05 and 0.95.
         engine: network, masks → its MC dropout.
+        spread: what σ is made of, one of :data:`uncal.models.prediction.SPREADS`.
         fixed_masks: whether all frames meet the same dropout masks in evaluation.
         calibrator: turns means and spreads into intervals.
         groups: what frames of one group share: ``rig`` or ``drive``.
@@ -51,27 +46,24 @@ class CalibrationModule(lightning.LightningModule):
 
     def __init__(
         self,
-        network: nn.Module,
-        decalibration: DecalibrationRange,
+        estimator: nn.Module,
         optimizer: Callable[[Iterable[nn.Parameter]], Optimizer],
         warmup_fraction: float,
-        displacement_weight: float,
-        ridge: float,
-        quantile_levels: tuple[float, float],
         engine: Callable[[nn.Module, FixedMasks | None], MCDropout],
+        spread: str,
         fixed_masks: bool,
         calibrator: IntervalCalibrator,
         groups: str,
         mask_seed: int,
     ) -> None:
         super().__init__()
-        self.estimator = PoseEstimator(network, decalibration.bounds, ridge)
+        self.estimator = estimator
+        self.spread = spread
         self.make_optimizer = optimizer
         self.warmup_fraction = warmup_fraction
-        self.displacement_weight = displacement_weight
-        self.quantile_levels = quantile_levels
         self.masks = FixedMasks(mask_seed) if fixed_masks else None
-        self.engine = engine(self.estimator, self.masks)
+        self.engine = engine(self._estimator.repeated, self.masks)
+        self.engine.keep_samples = True
         self.calibrator = calibrator
         self.groups = groups
         self.mask_seed = mask_seed
@@ -89,57 +81,50 @@ class CalibrationModule(lightning.LightningModule):
             batch: B network inputs.
 
         Returns:
-            (B, 6) metres and radians.
+            (n, 6) metres and radians.
         """
-        return self.estimator.estimate(*batch[:4]).pose
+        return self._estimator.pose(batch)
 
-    def loss(self, batch: NetworkInput) -> tuple[Tensor, Tensor]:
-        """Pose loss plus, for a displacement map, the loss of the map itself.
+    @property
+    def _estimator(self) -> Estimator:
+        return cast(Estimator, self.estimator)
 
-        Args:
-            batch: B network inputs.
-
-        Returns:
-            The loss (scalar) and the estimated pose (B, 6).
-        """
-        estimate = self.estimator.estimate(*batch[:4])
-        loss = pose_loss(estimate.pose, batch.target, self.estimator.bounds)
-        if estimate.displacement is not None:
-            flow, points = estimate.displacement
-            truth = true_displacement(points.points_cam, batch.K, batch.T_init, batch.target)
-            displacement = flow[:, :2].flatten(2).transpose(1, 2)
-            error = displacement_loss(displacement, truth, points.seen)
-            loss = loss + self.displacement_weight * error
-        if estimate.quantiles is not None:
-            for level, quantile in zip(self.quantile_levels, estimate.quantiles, strict=True):
-                loss = loss + pinball_loss(quantile, batch.target, level, self.estimator.bounds)
-        return loss, estimate.pose
-
-    def stochastic(self, batch: NetworkInput, split: str) -> Prediction:
+    def stochastic(self, batch: NetworkInput, split: str) -> SplitPrediction:
         """Mean and spread of the stochastic passes; the same for a frame in any batch.
 
         Args:
-            batch: B network inputs.
+            batch: B network inputs of n units.
             split: name of the split that they come from.
 
         Returns:
-            Mean and σ, each (B, 6), metres and radians; (B, 18) with a quantile head.
+            The predictions of the n units.
         """
+        question = self._estimator.question(batch)
+        samples = self._passes(question.arguments, batch, split)
+        answer = self._estimator.answer(samples, batch, question)
+        return SplitPrediction.of(answer, batch, self.spread)
+
+    def _passes(self, arguments: tuple[Tensor, ...], batch: NetworkInput, split: str) -> Tensor:
+        """(N, B, D) outputs of the network, remembered ones where there are."""
         seeds = [frame_seed(self.mask_seed, split, frame) for frame in batch.frames]
         if self.memory is None:
-            return self.engine(*batch[:4], seed=seeds)
+            return self._kept(self.engine(*arguments, seed=seeds))
         names = [str(frame) for frame in batch.frames]
         known = self.memory.recall(split, names)
         if known is not None and len(known) == self.engine.passes:
-            return Prediction.of(known.to(batch.x.device))
-        prediction = (
-            self.engine(*batch[:4], seed=seeds)
+            return known.to(batch.x.device)
+        samples = self._kept(
+            self.engine(*arguments, seed=seeds)
             if known is None
-            else self.engine.extend(known.to(batch.x.device), *batch[:4], seed=seeds)
+            else self.engine.extend(known.to(batch.x.device), *arguments, seed=seeds)
         )
-        if prediction.samples is not None:
-            self.memory.remember(split, names, prediction.samples)
-        return prediction
+        self.memory.remember(split, names, samples)
+        return samples
+
+    @staticmethod
+    def _kept(prediction: Prediction) -> Tensor:
+        assert prediction.samples is not None
+        return prediction.samples
 
     def remember(self, memory: PassMemory) -> None:
         """Keep the stochastic passes from now on, and use those that are kept already.
@@ -148,7 +133,6 @@ class CalibrationModule(lightning.LightningModule):
             memory: for the weights as they are now; training must be over.
         """
         self.memory = memory
-        self.engine.keep_samples = True
 
     def fit_calibrator(self, scores: SplitPrediction, frames: Sequence[FrameId]) -> None:
         """Calibrate the intervals of these weights, passes, rates and masks.
@@ -170,7 +154,7 @@ class CalibrationModule(lightning.LightningModule):
         """One optimisation step; a batch without a readable frame is passed over."""
         if batch is None:
             return None
-        loss, _ = self.loss(batch)
+        loss = self._estimator.loss(batch)
         self.log("loss/train", loss, batch_size=len(batch.x), prog_bar=True)
         return loss
 
@@ -178,8 +162,7 @@ class CalibrationModule(lightning.LightningModule):
         """Collect the deterministic estimate; dropout is off."""
         if batch is None:
             return
-        loss, pose = self.loss(batch)
-        self.log("loss/validation", loss, batch_size=len(batch.x), on_epoch=True)
+        pose = self._estimator.pose(batch)
         self._validation.append((batch.place, pose.float(), batch.target))
 
     def on_validation_epoch_end(self) -> None:
@@ -198,7 +181,7 @@ class CalibrationModule(lightning.LightningModule):
         """Collect the MC-dropout prediction."""
         if batch is None:
             return
-        self._tested.append(SplitPrediction.of(self.stochastic(batch, "test"), batch))
+        self._tested.append(self.stochastic(batch, "test"))
 
     def on_test_epoch_end(self) -> None:
         """Put the predictions together as ``tested``."""

@@ -10,10 +10,14 @@ import torch
 from torch import Tensor
 
 from uncal.data.network_input import NetworkInput
-from uncal.errors import RecordingError
+from uncal.errors import ConfigurationError, RecordingError
+from uncal.models.answer import Answer
 from uncal.recordings.frame import FrameId
 from uncal.uncertainty.gather import gather_by_id
-from uncal.uncertainty.mc_dropout import Prediction
+
+SPREADS: tuple[str, ...] = ("dropout", "solver", "total")
+"""What σ is: that of the stochastic passes (the paper's), that of the least-squares solver, which
+knows how many edges it had and where, or both, added in quadrature."""
 
 
 @dataclass(frozen=True)
@@ -21,10 +25,11 @@ class SplitPrediction:
     """Predictions of some frames of a split.
 
     Attributes:
-        place: (n,) int64 numbers of the frames in their split.
+        place: (n,) int64 numbers of the units (frames or windows) in their split.
         mean: (n, 6) mean of the stochastic passes, metres and radians.
-        std: (n, 6) their standard deviation.
+        std: (n, 6) σ, as the chosen spread makes it.
         target: (n, 6) the true decalibrations.
+        covariance: (n, 6, 6) of the error, as the chosen spread makes it.
         bounds: lower and upper quantiles, each (n, 6), of a network that has such a head.
     """
 
@@ -32,14 +37,37 @@ class SplitPrediction:
     mean: Tensor
     std: Tensor
     target: Tensor
+    covariance: Tensor
     bounds: tuple[Tensor, Tensor] | None = None
 
     @classmethod
-    def of(cls, prediction: Prediction, batch: NetworkInput) -> SplitPrediction:
-        """One batch's; of 18 outputs the first six are the pose, the others its quantiles."""
-        mean, *rest = torch.split(prediction.mean, 6, dim=1)
+    def of(cls, answer: Answer, batch: NetworkInput, spread: str) -> SplitPrediction:
+        """One batch's; of 18 outputs the first six are the pose, the others its quantiles.
+
+        Args:
+            answer: of the stochastic passes.
+            batch: what was asked about.
+            spread: one of :data:`SPREADS`.
+
+        Raises:
+            ConfigurationError: the solver's covariance of a network without a solver.
+        """
+        mean, *rest = torch.split(answer.samples.mean(0), 6, dim=1)
         bounds = (rest[0], rest[1]) if rest else None
-        return cls(batch.place, mean, prediction.std[:, :6], batch.target, bounds)
+        passes = answer.samples[..., :6]
+        if spread == "dropout":
+            covariance, std = _covariance(passes), passes.std(0, correction=0)
+        else:
+            if answer.covariance is None:
+                raise ConfigurationError(
+                    f"mcd.spread={spread} needs the covariance of a solver, which this network "
+                    "has not: use mcd.spread=dropout, or model/backbone=edges"
+                )
+            covariance = answer.covariance
+            if spread == "total":
+                covariance = covariance + _covariance(passes)
+            std = covariance.diagonal(dim1=1, dim2=2).sqrt()
+        return cls(batch.place, mean, std, batch.target, covariance, bounds)
 
     def groups(self, frames: Sequence[FrameId], by: str) -> list[str]:
         """What the frames belong to.
@@ -91,10 +119,18 @@ def join_predictions(parts: Sequence[SplitPrediction], split: str) -> SplitPredi
         raise RecordingError(
             f"no frame of the {split} split could be read; see the skipped frames listed above"
         )
-    mean, std, target, *bounds = torch.split(values.cpu(), 6, dim=1)
-    pair = (bounds[0], bounds[1]) if bounds else None
-    return SplitPrediction(place.cpu(), mean, std, target, pair)
+    mean, std, target, *rest = torch.split(values.cpu(), 6, dim=1)
+    covariance = torch.stack(rest[:6], 1)
+    pair = (rest[6], rest[7]) if rest[6:] else None
+    return SplitPrediction(place.cpu(), mean, std, target, covariance, pair)
 
 
 def _columns(part: SplitPrediction) -> tuple[Tensor, Tensor]:
-    return part.place, torch.cat([part.mean, part.std, part.target, *(part.bounds or ())], 1)
+    columns = [part.mean, part.std, part.target, part.covariance.flatten(1), *(part.bounds or ())]
+    return part.place, torch.cat(columns, 1)
+
+
+def _covariance(samples: Tensor) -> Tensor:
+    """(n, D, D) covariance of (N, n, D) samples, with 1/N as in the paper."""
+    centred = (samples - samples.mean(0)).transpose(0, 1)
+    return centred.transpose(1, 2) @ centred / len(samples)

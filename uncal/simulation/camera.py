@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -81,16 +82,30 @@ class Camera:
 
     def _develop(self, light: Array, rng: np.random.Generator) -> NDArray[np.uint8]:
         """Exposure, vignetting, noise, gamma, 8 bits; (3, H·W) linear → (H, W, 3)."""
+        limits = self.settings
         mean = float((LUMINANCE @ light).clip(0, 1.5).mean())
-        light = light * (
-            self._vignette * (self.settings.exposure * MEAN_LUMINANCE / max(mean, 1e-6))
-        )
+        gain = limits.exposure * MEAN_LUMINANCE / max(mean, 1e-6)
+        if limits.exposure_stops > 0:
+            gain *= 2.0 ** (limits.exposure_stops * rng.uniform(-1, 1))
+        light = light * (self._vignette * np.float32(gain))
+        if limits.tint > 0:
+            light *= (1 + limits.tint * rng.uniform(-1, 1, (3, 1))).astype(np.float32)
+        if limits.blur_px > 0:
+            light = self._blurred(light, limits.blur_px * rng.uniform(0, 1))
         noise = rng.standard_normal(light.shape, dtype=np.float32)
         # Photon noise grows with the root of the signal; the floor is the read-out's.
-        light += self.settings.noise * np.sqrt(0.2 + light) * noise
+        light += limits.noise * np.sqrt(0.2 + light) * noise
         coded = _GAMMA_CURVE.take((light.clip(0, 1) * (len(_GAMMA_CURVE) - 1)).astype(np.int32))
-        shape = (self.settings.height, self.settings.width, 3)
+        shape = (limits.height, limits.width, 3)
         return np.ascontiguousarray(coded.T).reshape(shape)
+
+    def _blurred(self, light: Array, sigma: float) -> Array:
+        """A lens out of focus: a Gaussian of that standard deviation in pixels."""
+        if sigma < 0.1:
+            return light
+        image = np.ascontiguousarray(light.T).reshape(self.settings.height, self.settings.width, 3)
+        blurred = cv2.GaussianBlur(image, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE)
+        return np.ascontiguousarray(blurred.reshape(-1, 3).T)
 
 
 class _Exposure:

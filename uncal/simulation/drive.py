@@ -97,7 +97,10 @@ def write_frames(settings: SimulationSettings, piece: Piece, folder: Path) -> in
     cv2.setNumThreads(1)
     rig = draw_rig(settings, piece.rig)
     street, scene = build_scene(settings, piece)
-    camera, lidar = Camera(settings.camera, rig.K), Lidar(settings.lidar, rig.elevations)
+    camera, lidar = (
+        Camera(settings.camera, rig.K),
+        Lidar(settings.lidar, rig.elevations, rig.range_bias),
+    )
     T_lidar_cam = inverse(rig.T_cam_lidar)
     written = 0
     for frame in range(piece.first, piece.last):
@@ -105,7 +108,12 @@ def write_frames(settings: SimulationSettings, piece: Piece, folder: Path) -> in
         T_world_lidar = vehicle_pose(settings, street, *key) @ rig.T_vehicle_lidar
         light_rng = generator(settings.seed, Stream.CAMERA, *key)
         image = camera.photograph(scene, T_world_lidar @ T_lidar_cam, light_rng)
-        points = lidar.sweep(scene, T_world_lidar, generator(settings.seed, Stream.LIDAR, *key))
+        points = lidar.sweep(
+            scene,
+            T_world_lidar,
+            generator(settings.seed, Stream.LIDAR, *key),
+            velocity=settings.vehicle.speed_mps * T_world_lidar[:3, 0],
+        )
         picture = folder / "image_02" / "data" / f"{frame:010d}.png"
         cloud = folder / "velodyne_points" / "data" / f"{frame:010d}.bin"
         try:

@@ -112,7 +112,10 @@ def record(settings: SimulationSettings, piece: Piece) -> Recorded:
     rays = optics.rays(size, settings.camera.supersampling)
     meter = LuminanceMeter(scene, settings.camera, rays)
     pixels = generator(settings.seed, Stream.EVENT_PIXELS, piece.rig)
-    camera, lidar = EventCamera(events, size, pixels), Lidar(settings.lidar, rig.elevations)
+    camera, lidar = (
+        EventCamera(events, size, pixels),
+        Lidar(settings.lidar, rig.elevations, rig.range_bias),
+    )
     T_vehicle_cam = rig.T_vehicle_lidar @ inverse(rig.T_cam_lidar)
     ends = sweep_times(settings, piece.drive)
     seen: list[SensorEvents] = []
@@ -135,7 +138,14 @@ def record(settings: SimulationSettings, piece: Piece) -> Recorded:
         seen.append(camera.watch(light, times, generator(settings.seed, Stream.EVENTS, *key)))
         lidar_rng = generator(settings.seed, Stream.LIDAR, *key)
         T_world_lidar = T_world_vehicle @ rig.T_vehicle_lidar
-        sweeps.append(lidar.sweep_with_rings(scene, T_world_lidar, lidar_rng))
+        sweeps.append(
+            lidar.sweep_with_rings(
+                scene,
+                T_world_lidar,
+                lidar_rng,
+                velocity=settings.vehicle.speed_mps * T_world_lidar[:3, 0],
+            )
+        )
     return Recorded(
         x=np.concatenate([part.x for part in seen]),
         y=np.concatenate([part.y for part in seen]),

@@ -10,7 +10,10 @@ from uncal.simulation.settings import SceneSettings
 from uncal.simulation.street import Street
 from uncal.simulation.textures import Kind
 
-BLOBS_PER_CROWN = 3
+BLOBS_PER_CROWN = 5
+
+LEAFINESS = 0.6
+"""Share of a crown's hulls that is leaves; the rest lets light and beams through."""
 
 
 def add_furniture(
@@ -95,6 +98,9 @@ def _add_trees(mesh: Mesh, street: Street, scene: SceneSettings, rng: np.random.
     triangles, uv = blobs(centre, radius[:, None] * stretch, 0.14, rng)
     leaf = colours(rng, n, (0.06, 0.4), (0.3, 0.8), (0.1, 0.38))
     foliage = surfaces(rng, n, Kind.LEAVES, 2.0, leaf, reflectances=(0.6, 0.3))[crown]
+    leaves = rng.random(triangles.shape[:2]) < LEAFINESS
+    # A hole is a triangle without area.
+    triangles = np.where(leaves[..., None, None], triangles, triangles[..., :1, :])
     mesh.add_triangles(triangles, uv / 2.0, foliage)
 
 

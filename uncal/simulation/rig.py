@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from uncal.simulation.rigid import Matrix, inverse, pose_matrix
 from uncal.simulation.seeding import Stream, generator
-from uncal.simulation.settings import SimulationSettings
+from uncal.simulation.settings import LidarSettings, SimulationSettings
 
 FIRST_DATE = datetime.date(2041, 1, 1)
 """Decades from any KITTI date, so that simulated folders are never mistaken for recorded ones."""
@@ -45,6 +45,7 @@ class Rig:
     baseline_m: float
     T_vehicle_lidar: Matrix
     elevations: NDArray[np.float64]
+    range_bias: NDArray[np.float64]
 
     @property
     def T_cam0_lidar(self) -> Matrix:
@@ -91,5 +92,19 @@ def draw_rig(settings: SimulationSettings, index: int) -> Rig:
         R_rect=pose_matrix((0, 0, 0), np.deg2rad(1.0) * rng.uniform(-1, 1, 3))[:3, :3],
         baseline_m=float(0.06 * rng.uniform(0.8, 1.2)),
         T_vehicle_lidar=pose_matrix((0.0, 0.0, float(height)), attitude),
-        elevations=np.sort(np.linspace(low, high, lidar.beams) + jitter),
+        elevations=np.sort(_beam_table(lidar, low, high) + jitter),
+        range_bias=lidar.range_bias_m * rng.uniform(-1, 1, lidar.beams),
     )
+
+
+def _beam_table(lidar: LidarSettings, low: float, high: float) -> NDArray[np.float64]:
+    """(beams,) elevations in radians, ascending: evenly spread, or those of a HDL-64.
+
+    A HDL-64 has two blocks of 32 lasers, the upper one a third of a degree apart, the lower one
+    half a degree; fewer beams are taken evenly out of its table.
+    """
+    if not lidar.hdl64:
+        return np.linspace(low, high, lidar.beams)
+    lower, upper = np.linspace(-24.33, -8.83, 32), np.linspace(-8.33, 2.0, 32)
+    table = np.deg2rad(np.concatenate([lower, upper]))
+    return np.asarray(np.interp(np.linspace(0, 63, lidar.beams), np.arange(64), table))

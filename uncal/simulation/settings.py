@@ -14,7 +14,7 @@ from typing import Annotated, ClassVar
 from uncal.errors import ConfigurationError
 from uncal.simulation.settings_group import SettingsGroup, Within
 
-VERSION = 1
+VERSION = 2
 """Raised whenever the same settings would no longer give the same files."""
 
 MAX_RIGS = 3652
@@ -39,6 +39,9 @@ class CameraSettings(SettingsGroup):
     noise: Annotated[float, Within(0.0, 0.5)]
     vignetting: Annotated[float, Within(0.0, 1.0)]
     haze_m: Annotated[float, Within(10.0, 1e6)]
+    exposure_stops: Annotated[float, Within(0.0, 4.0)] = 0.0
+    tint: Annotated[float, Within(0.0, 0.9)] = 0.0
+    blur_px: Annotated[float, Within(0.0, 10.0)] = 0.0
 
 
 @dataclass(frozen=True)
@@ -57,6 +60,10 @@ class LidarSettings(SettingsGroup):
     range_noise_m: Annotated[float, Within(0.0, 1.0)]
     reflectance_noise: Annotated[float, Within(0.0, 1.0)]
     dropout: Annotated[float, Within(0.0, 0.99)]
+    hdl64: bool = False
+    range_bias_m: Annotated[float, Within(0.0, 0.5)] = 0.0
+    stagger: bool = False
+    motion_distortion: bool = False
 
     def __post_init__(self) -> None:
         """Check bounds and the order of pairs."""

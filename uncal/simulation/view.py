@@ -60,21 +60,29 @@ class View:
         rows[:, 8:11], rows[:, 11] = scene.v_slope, scene.uv[:, 1] + v
         rows[:, 12] = scene.texel_density
 
-    def meet(self, triangle: Numbers, directions: Array) -> Meeting:
+    def meet(self, triangle: Numbers, directions: Array, shift: Array | None = None) -> Meeting:
         """Where rays meet the triangles that :meth:`Scene.cast` has named.
 
         Args:
             triangle: (N,) triangle numbers.
             directions: (3, N) float32; component by component, which is what is fast here.
+            shift: (3, N) from the view's point to where each ray starts; None: nowhere.
         """
         x, y, z = directions
         row = self._table.take(triangle, axis=0, mode="wrap")
         towards = x * row[:, 0] + y * row[:, 1] + z * row[:, 2]
         with np.errstate(divide="ignore", invalid="ignore"):
-            t = row[:, 3] / towards
+            if shift is None:
+                t = row[:, 3] / towards
+            else:
+                ahead = shift[0] * row[:, 0] + shift[1] * row[:, 1] + shift[2] * row[:, 2]
+                t = (row[:, 3] - ahead) / towards
         t[triangle < 0] = 0
         u = row[:, 7] + t * (x * row[:, 4] + y * row[:, 5] + z * row[:, 6])
         v = row[:, 11] + t * (x * row[:, 8] + y * row[:, 9] + z * row[:, 10])
+        if shift is not None:
+            u += shift[0] * row[:, 4] + shift[1] * row[:, 5] + shift[2] * row[:, 6]
+            v += shift[0] * row[:, 8] + shift[1] * row[:, 9] + shift[2] * row[:, 10]
         return Meeting(triangle, t, np.abs(towards), u, v, row[:, 12])
 
     def texture_at(self, meeting: Meeting, footprint: Array) -> tuple[Array, Array]:

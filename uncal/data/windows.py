@@ -1,0 +1,56 @@
+"""Units of estimation: single frames, or windows of consecutive frames of a drive."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TypeAlias
+
+from uncal.data.blocks import blocks
+from uncal.errors import ConfigurationError
+from uncal.recordings.frame import FrameId
+
+Unit: TypeAlias = tuple[FrameId, ...]
+"""Frames of one drive that share one decalibration; the first gives it its name."""
+
+
+@dataclass(frozen=True)
+class WindowSettings:
+    """How many frames one estimate is made of.
+
+    Attributes:
+        frames: consecutive frames of a drive whose evidence is added up; 1: each frame alone.
+    """
+
+    frames: int
+
+    def __post_init__(self) -> None:
+        """Check the number.
+
+        Raises:
+            ConfigurationError: not a positive whole number.
+        """
+        if not isinstance(self.frames, int) or isinstance(self.frames, bool) or self.frames < 1:
+            raise ConfigurationError(
+                f"window.frames={self.frames}: expected a whole number of frames, at least 1"
+            )
+
+
+def units_of(frame_ids: Sequence[FrameId], frames: int) -> list[Unit]:
+    """Cut the frames of a split into units, in order.
+
+    Args:
+        frame_ids: of the split, sorted by rig, drive and number.
+        frames: of a unit. What remains at the end of a drive is a window of its own; shorter than
+            half a window, it joins the one before.
+
+    Returns:
+        The units.
+
+    >>> some = [FrameId("rig", "drive", index) for index in range(5)]
+    >>> [len(unit) for unit in units_of(some, 2)], [len(unit) for unit in units_of(some, 1)]
+    ([2, 2, 1], [1, 1, 1, 1, 1])
+    """
+    if frames == 1:
+        return [(frame_id,) for frame_id in frame_ids]
+    return [tuple(members) for members in blocks(frame_ids, frames).values()]

@@ -1,0 +1,63 @@
+"""How strongly each pixel of a camera's image looks like an edge."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+from torch.nn import functional as F
+
+IMAGE_EDGES: tuple[str, ...] = ("mean", "channels")
+"""What the edges are gradients of: the channels' mean (an image), or each channel's own (events)."""
+
+STRONGEST = 3.0
+"""An edge counts at most this many times what is usual around it."""
+
+_FAINT = 0.09
+"""Added to what is usual, in units of the normalised input, lest noise in a plain area be an edge."""
+
+
+def edge_maps(camera: Tensor, window: int, image_edges: str = "mean") -> Tensor:
+    """Edge strength across columns and across rows, relative to what is usual nearby.
+
+    Args:
+        camera: (B, C, H, W) the camera's channels as a network reads them.
+        window: half the side of the area that counts as nearby, pixels.
+        image_edges: one of :data:`IMAGE_EDGES`. Events of other sign or time would cancel in the
+            mean of the channels.
+
+    Returns:
+        (B, 2, H, W) from 0 to :data:`STRONGEST`.
+
+    >>> step = torch.zeros(1, 3, 8, 8)
+    >>> step[..., 4:] = 1.0
+    >>> across, along = edge_maps(step, window=3)[0, :, 4]
+    >>> across.argmax().item() in (3, 4), along.max().item()
+    (True, 0.0)
+    """
+    if image_edges == "mean":
+        camera = camera.mean(1, keepdim=True)
+    x = F.pad(camera, (1, 1, 1, 1), mode="replicate")
+    smooth_rows = x[..., :-2, :] + 2 * x[..., 1:-1, :] + x[..., 2:, :]
+    smooth_columns = x[..., :-2] + 2 * x[..., 1:-1] + x[..., 2:]
+    across = (smooth_rows[..., 2:] - smooth_rows[..., :-2]).abs() / 4
+    along = (smooth_columns[..., 2:, :] - smooth_columns[..., :-2, :]).abs() / 4
+    if image_edges == "channels":
+        across, along = (g.square().mean(1, keepdim=True).sqrt() for g in (across, along))
+    usual = box_mean(across + along, window) + _FAINT
+    return torch.cat([across / usual, along / usual], 1).clamp(max=STRONGEST)
+
+
+def box_mean(x: Tensor, half: int) -> Tensor:
+    """Mean over squares of 2·half + 1 pixels; the border repeats.
+
+    Args:
+        x: (B, C, H, W).
+        half: half the side.
+
+    Returns:
+        The same shape.
+    """
+    side = 2 * half + 1
+    x = F.pad(x, (half, half, half, half), mode="replicate")
+    # One direction after the other: a square window costs its area, two lines their lengths.
+    return F.avg_pool2d(F.avg_pool2d(x, (1, side), 1), (side, 1), 1)

@@ -1,0 +1,381 @@
+"""From curves along the edges of a sweep to the pose: rounds, windows, and what dropout repeats."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from uncal.data.network_input import NetworkInput
+from uncal.decalibration import correct, decalibrate
+from uncal.displacement import true_displacement
+from uncal.edges.evidence import (
+    ProjectedEdges,
+    gaussian_factors,
+    offsets_of,
+    pack,
+    project_edges,
+    sharp_component,
+    unpack,
+)
+from uncal.errors import ConfigurationError
+from uncal.models.answer import Answer, Question, State
+from uncal.models.evidence import STRIDES, EvidenceNetwork
+
+PRIOR = 3.0
+"""Precision of a uniform distribution over -1..1, the decalibrations in units of their range."""
+
+BEYOND = 1.3
+"""Estimates stay within this many ranges between rounds."""
+
+
+@dataclass(frozen=True)
+class LearningSettings:
+    """What training minimises, and at which remaining decalibrations each scale is trained.
+
+    Attributes:
+        smallest: of each scale, the smallest remaining decalibration, in units of the range.
+        largest: of each scale, the largest.
+        pose_weight: of the pose's smooth L1 loss, beside the curves' cross-entropy.
+        precision_weight: of the Gaussian log-likelihood of the pose.
+    """
+
+    smallest: Sequence[float]
+    largest: Sequence[float]
+    pose_weight: float
+    precision_weight: float
+
+
+class LastRound(nn.Module):
+    """One round for given extrinsics: the part of an estimate that stochastic passes repeat.
+
+    Args:
+        network: gives the curves.
+        bounds: (6,) range of the decalibrations, metres and radians.
+    """
+
+    bounds: Tensor
+
+    def __init__(self, network: EvidenceNetwork, bounds: Tensor) -> None:
+        super().__init__()
+        self.network = network
+        self.register_buffer("bounds", bounds.clone())
+        # Errors of neighbouring edges are alike: what they say together is less than their sum.
+        self.log_share = nn.Parameter(torch.full((len(STRIDES),), -1.5))
+        self.log_blur = nn.Parameter(torch.tensor([1.4, 0.7, -0.3]))
+        self.look = Look(self)
+
+    def forward(self, x: Tensor, edges: Tensor, K: Tensor, T: Tensor, covariance: Tensor) -> Tensor:
+        """Normal equations of every frame at the finest scale.
+
+        Args:
+            x: (B, C, H, W) network input.
+            edges: (B, M, columns).
+            K: (B, 3, 3) camera matrices.
+            T: (B, 4, 4) extrinsics as they are assumed now.
+            covariance: (B, 6, 6) of the pose, in units of the range.
+
+        Returns:
+            (B, 27) packed; see :func:`uncal.edges.evidence.pack`.
+        """
+        level = len(STRIDES) - 1
+        projected, read = self.look(x, edges, K, T)
+        curves, weights = self.network.curves(read, edges, K, projected, level)
+        return pack(*self.equations(curves, weights, projected, covariance, level))
+
+    def equations(
+        self,
+        curves: Tensor,
+        weights: Tensor,
+        projected: ProjectedEdges,
+        covariance: Tensor,
+        level: int,
+    ) -> tuple[Tensor, Tensor]:
+        """Sum of the edges' Gaussian contributions.
+
+        Args:
+            curves: (B, M, R) log-likelihoods.
+            weights: (B, M) how much each edge counts.
+            projected: the edges.
+            covariance: (B, 6, 6) of the pose, in units of the range.
+            level: which of :data:`~uncal.models.evidence.STRIDES`.
+
+        Returns:
+            (B, 6, 6) and (B, 6) normal equations of what is left of the decalibration.
+        """
+        J = projected.jacobian
+        variance = ((J @ covariance) * J).sum(-1) + (2 * self.log_blur[level]).exp()
+        offsets = offsets_of(STRIDES[level], self.network.reach[level], curves)
+        mean, precision = gaussian_factors(curves, offsets, variance, STRIDES[level])
+        weight = precision * weights * self.log_share[level].exp()
+        weighted = (J * weight[..., None]).transpose(1, 2)
+        return weighted @ J, (weighted @ mean[..., None]).squeeze(-1)
+
+
+class Look(nn.Module):
+    """Projection and features around the edges: nothing random, so that passes share it.
+
+    Args:
+        owner: whose network and bounds it uses; not registered a second time.
+    """
+
+    def __init__(self, owner: LastRound) -> None:
+        super().__init__()
+        self._owner = [owner]
+
+    def forward(
+        self, x: Tensor, edges: Tensor, K: Tensor, T: Tensor
+    ) -> tuple[ProjectedEdges, Tensor]:
+        """What :class:`LastRound` needs of the image.
+
+        Args:
+            x: (B, C, H, W) network input.
+            edges: (B, M, columns).
+            K: (B, 3, 3) camera matrices.
+            T: (B, 4, 4) extrinsics as they are assumed now.
+
+        Returns:
+            The projected edges and the features around them.
+        """
+        owner = self._owner[0]
+        size = (x.shape[-2], x.shape[-1])
+        projected = project_edges(edges, K, T, size, owner.bounds)
+        maps = owner.network.describe(x)
+        return projected, owner.network.read(maps, projected, len(STRIDES) - 1)
+
+
+class AlignmentEstimator(nn.Module):
+    """Estimates in rounds: project with the pose so far, add up the evidence, solve, again.
+
+    The prior is on the total decalibration. Frames of a window share one, so that their normal
+    equations are added before they are solved (:mod:`uncal.data.windows`).
+
+    Args:
+        network: gives the curves.
+        bounds: (6,) range of the decalibrations, metres and radians.
+        rounds: stride of each round, coarse to fine.
+        learning: what training minimises.
+
+    Raises:
+        ConfigurationError: a round at a scale that the network does not have.
+    """
+
+    def __init__(
+        self,
+        network: EvidenceNetwork,
+        bounds: Tensor,
+        rounds: Sequence[int],
+        learning: LearningSettings,
+    ) -> None:
+        super().__init__()
+        if not rounds or any(stride not in STRIDES for stride in rounds) or rounds[-1] != 1:
+            raise ConfigurationError(
+                f"model.rounds={list(rounds)}: expected strides out of {list(STRIDES)}, the last 1"
+            )
+        self.last: LastRound = LastRound(network, bounds).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.rounds = [STRIDES.index(stride) for stride in rounds]
+        self.learning = learning
+
+    @property
+    def bounds(self) -> Tensor:
+        """(6,) range of the decalibrations, metres and radians."""
+        return self.last.bounds
+
+    def align(self, batch: NetworkInput, rounds: Sequence[int]) -> State:
+        """Rounds without dropout.
+
+        Args:
+            batch: B frames of n units.
+            rounds: numbers of the scales, one per round.
+
+        Returns:
+            The state after them.
+        """
+        n = len(batch.place)
+        pose = batch.K.new_zeros(n, 6)
+        covariance = (torch.eye(6) / PRIOR).to(pose).expand(n, 6, 6)
+        state = State(pose, covariance)
+        maps = self.last.network.describe(batch.x)
+        size = (batch.x.shape[-2], batch.x.shape[-1])
+        for level in rounds:
+            T = self.assumed(batch, state)
+            projected = project_edges(batch.edges, batch.K, T, size, self.bounds)
+            read = self.last.network.read(maps, projected, level)
+            curves, weights = self.last.network.curves(read, batch.edges, batch.K, projected, level)
+            equations = self.last.equations(
+                curves, weights, projected, state.covariance[batch.unit], level
+            )
+            state = self.solve(self.fuse(pack(*equations), batch.unit, n), state)
+        return state
+
+    def assumed(self, batch: NetworkInput, state: State) -> Tensor:
+        """(B, 4, 4) extrinsics after what is known so far has been taken out."""
+        return correct(batch.T_init, (state.pose * self.bounds)[batch.unit])
+
+    @staticmethod
+    def fuse(packed: Tensor, unit: Tensor, n: int) -> Tensor:
+        """Add up the normal equations of each unit's frames.
+
+        Args:
+            packed: (..., B, 27).
+            unit: (B,) which unit each frame belongs to.
+            n: number of units.
+
+        Returns:
+            (..., n, 27).
+        """
+        total = packed.new_zeros(*packed.shape[:-2], n, packed.shape[-1])
+        return total.index_add(packed.ndim - 2, unit, packed)
+
+    @staticmethod
+    def solve(packed: Tensor, state: State) -> State:
+        """The total decalibration after one round, and its covariance.
+
+        Args:
+            packed: (..., n, 27) normal equations of what is left.
+            state: before.
+
+        Returns:
+            (..., n, 6) and (..., n, 6, 6).
+        """
+        normal, right = unpack(packed)
+        normal = normal + PRIOR * torch.eye(6).to(normal)
+        factor = torch.linalg.cholesky(normal)
+        step = torch.cholesky_solve((right - PRIOR * state.pose)[..., None], factor).squeeze(-1)
+        pose = (state.pose + step).clamp(-BEYOND, BEYOND)
+        return State(pose, torch.cholesky_inverse(factor))
+
+    @property
+    def repeated(self) -> nn.Module:
+        """What stochastic passes repeat."""
+        return self.last
+
+    def pose(self, batch: NetworkInput) -> Tensor:
+        """The estimate of all rounds, without dropout.
+
+        Args:
+            batch: B frames of n units.
+
+        Returns:
+            (n, 6) metres and radians.
+        """
+        return self.align(batch, self.rounds).pose * self.bounds
+
+    def question(self, batch: NetworkInput) -> Question:
+        """All rounds but the last, which stochastic passes repeat.
+
+        Args:
+            batch: B frames of n units.
+        """
+        state = self.align(batch, self.rounds[:-1])
+        T = self.assumed(batch, state)
+        return Question((batch.x, batch.edges, batch.K, T, state.covariance[batch.unit]), state)
+
+    def answer(self, samples: Tensor, batch: NetworkInput, question: Question) -> Answer:
+        """Poses of the stochastic passes, and what the solver itself knows of their error.
+
+        Args:
+            samples: (N, B, 27) of :class:`LastRound`.
+            batch: the same batch.
+            question: what was asked.
+
+        Returns:
+            (N, n, 6) poses and (n, 6, 6) covariance, metres and radians.
+        """
+        assert question.state is not None
+        packed = self.fuse(samples, batch.unit, len(batch.place))
+        poses = self.solve(packed, question.state).pose
+        covariance = self.solve(packed.mean(0), question.state).covariance
+        scales = self.bounds[:, None] * self.bounds
+        return Answer(poses * self.bounds, covariance * scales)
+
+    def loss(self, batch: NetworkInput) -> Tensor:
+        """Cross-entropy of the curves, error and log-likelihood of the pose, over all scales.
+
+        Each scale meets its own range of remaining decalibrations, drawn here; the batch's own
+        decalibration is taken out first.
+
+        Args:
+            batch: B single frames.
+
+        Returns:
+            Scalar.
+        """
+        n = len(batch.x)
+        T_true = correct(batch.T_init, batch.target)
+        maps = self.last.network.describe(batch.x)
+        size = (batch.x.shape[-2], batch.x.shape[-1])
+        total = batch.x.new_zeros(())
+        for level, stride in enumerate(STRIDES):
+            low, high = self.learning.smallest[level], self.learning.largest[level]
+            reach = low + (high - low) * torch.rand(n, 1, device=batch.x.device)
+            if level == 0:  # most often at the very start
+                reach = torch.where(torch.rand_like(reach) < 0.7, high, reach)
+            left = (2 * torch.rand(n, 6, device=reach.device) - 1) * reach
+            found = (2 * torch.rand(n, 6, device=reach.device) - 1) * (1 - reach).clamp(min=0)
+            T = decalibrate(T_true, left * self.bounds)
+            covariance = torch.diag_embed((reach**2 / PRIOR).expand(n, 6))
+            projected = project_edges(batch.edges, batch.K, T, size, self.bounds)
+            read = self.last.network.read(maps, projected, level)
+            curves, weights = self.last.network.curves(read, batch.edges, batch.K, projected, level)
+            equations = self.last.equations(curves, weights, projected, covariance, level)
+            after = self.solve(pack(*equations), State(found, covariance))
+            truth = found + left
+            moved = true_displacement(projected.points_cam, batch.K, T, left * self.bounds)
+            offset = sharp_component(moved, projected.along)
+            total = total + cross_entropy(curves, offset, projected.seen, stride)
+            scale = reach.clamp(min=0.1)
+            total = total + self.learning.pose_weight * F.smooth_l1_loss(
+                after.pose / scale, truth / scale, beta=0.1
+            )
+            total = total + self.learning.precision_weight * surprise(after, truth)
+        return total
+
+
+def cross_entropy(curves: Tensor, offset: Tensor, seen: Tensor, stride: int) -> Tensor:
+    """Mean of -log p(true offset), linear between the two offsets next to it.
+
+    Args:
+        curves: (B, M, R) log-likelihoods, R odd.
+        offset: (B, M) true offsets, pixels; those beyond the curve do not count.
+        seen: (B, M) which edges do.
+        stride: pixels between the curve's offsets.
+
+    Returns:
+        Scalar.
+
+    >>> curve = torch.log_softmax(torch.tensor([[[0.0, 1.0, 0.0]]]), -1)
+    >>> loss = cross_entropy(curve, torch.zeros(1, 1), torch.ones(1, 1), 1)
+    >>> torch.allclose(loss, -curve[0, 0, 1])
+    True
+    """
+    reach = curves.shape[-1] // 2
+    counted = seen * (offset.abs() < (reach - 0.5) * stride)
+    place = (offset / stride + reach).clamp(0.0, 2 * reach - 1e-3)
+    left = place.floor().long()
+    part = place - left
+    log = curves.log_softmax(-1)
+    at_left = log.gather(-1, left[..., None]).squeeze(-1)
+    at_right = log.gather(-1, left[..., None] + 1).squeeze(-1)
+    value = -(at_left * (1 - part) + at_right * part) * counted
+    return value.sum() / counted.sum().clamp(min=1.0)
+
+
+def surprise(state: State, truth: Tensor) -> Tensor:
+    """Gaussian -log p(truth) per DoF, without its constant; mean over units, each at most 8.
+
+    Args:
+        state: n units.
+        truth: (n, 6) in units of the range.
+
+    Returns:
+        Scalar.
+    """
+    error = (truth - state.pose)[..., None]
+    factor = torch.linalg.cholesky(state.covariance)
+    squared = torch.cholesky_solve(error, factor).mul(error).sum((1, 2))
+    log_det = factor.diagonal(dim1=1, dim2=2).log().sum(1)
+    return ((0.5 * squared + log_det) / 6).clamp(max=8.0).mean()
