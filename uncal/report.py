@@ -45,12 +45,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     Args:
         arguments: of the command line; None takes the process's own.
     """
-    asked = parser().parse_args(arguments)
+    options = parser().parse_args(arguments)
     quiet_libraries()
-    gathered, paper = gather(asked.runs), published_paper()
+    gathered, paper = gather(options.runs), published_paper()
     given = sys.argv[1:] if arguments is None else arguments
     content = compare(paper, gathered, shlex.join(["python", "-m", "uncal.report", *given]))
-    folder = asked.output or Path("outputs/report") / f"{datetime.now():%Y-%m-%d_%H-%M-%S-%f}"
+    folder = options.output or Path("outputs/report") / f"{datetime.now():%Y-%m-%d_%H-%M-%S-%f}"
     try:
         folder.mkdir(parents=True, exist_ok=True)
         page = write_whole(folder / "report.html", html_page(content))
@@ -66,22 +66,22 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    made = argparse.ArgumentParser(
+    command_line = argparse.ArgumentParser(
         prog="python -m uncal.report",
         description=DESCRIPTION,
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    made.add_argument(
+    command_line.add_argument(
         "runs", nargs="+", type=Path, metavar="RUN", help="folder of a run or of a multirun"
     )
-    made.add_argument(
+    command_line.add_argument(
         "--output",
         type=Path,
         metavar="FOLDER",
         help="where to write (default: outputs/report/<time>)",
     )
-    return made
+    return command_line
 
 
 if __name__ == "__main__":

@@ -20,7 +20,7 @@ log = logging.getLogger(__name__)
 
 
 class Figures(lightning.Callback):
-    """Draws all figures of a run when its test ends; stands after ``report``, whose files it reads.
+    """Draws all figures of a run when its test ends, from the files of ``report`` before it.
 
     Args:
         folder: the run's folder; the figures go to ``figures`` in it.

@@ -106,8 +106,8 @@ def _multirun(folder: Path, name: str, jobs: tuple[Job, ...]) -> Multirun:
     runs = []
     for job in jobs:
         if job.table is not None:
-            told = ", ".join(f"{key}={job.overrides[key]}" for key in keys if key in job.overrides)
-            runs.append(read_run(folder / job.folder, f"{name}, job {job.folder}", told))
+            swept = ", ".join(f"{key}={job.overrides[key]}" for key in keys if key in job.overrides)
+            runs.append(read_run(folder / job.folder, f"{name}, job {job.folder}", swept))
     if not runs:
         reasons = "; ".join(f"{job.folder}: {job.failure}" for job in jobs)
         raise UncalError(

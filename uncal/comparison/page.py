@@ -1,4 +1,4 @@
-"""Everything that a comparison says, as one HTML page, as Markdown, and on the terminal."""
+"""A comparison as one HTML page, as Markdown, and on the terminal."""
 
 from __future__ import annotations
 

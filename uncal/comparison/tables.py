@@ -258,15 +258,15 @@ def _of_sections(
     having = [run for run in runs if run.name in sections]
     if not having:
         return None
-    said: dict[str, list[str]] = {}
+    notes_of: dict[str, list[str]] = {}
     for name, section in sections.items():
         for note in section.notes:
-            said.setdefault(note, []).append(name)
+            notes_of.setdefault(note, []).append(name)
     return Table(
         " / ".join(dict.fromkeys(section.title for section in sections.values())),
         ["source", "", *headings],
         [[run.source, *line] for run in having for line in sections[run.name].grid[1:]],
-        notes=[*by_name(said, len(having)), *notes, *_lacking(runs, schema)],
+        notes=[*by_name(notes_of, len(having)), *notes, *_lacking(runs, schema)],
         origins=_origins(having),
     )
 
@@ -283,14 +283,14 @@ def _joint_table(runs: Sequence[Run]) -> Table | None:
     return _of_sections(runs, JOINT, section, headings, "The paper reports no joint coverage.")
 
 
-def by_name(said: Mapping[str, Sequence[str]], count: int) -> list[str]:
+def by_name(names_of: Mapping[str, Sequence[str]], count: int) -> list[str]:
     """Sentences with the names of the runs that they are about, unless about all.
 
     >>> by_name({"Few frames.": ["Run 1"], "In cm.": ["Run 1", "Run 2"]}, 2)
     ['In cm.', 'Run 1: Few frames.']
     """
-    everyone = [text for text, names in said.items() if len(names) == count]
-    others = [f"{', '.join(n)}: {text}" for text, n in said.items() if len(n) < count]
+    everyone = [text for text, names in names_of.items() if len(names) == count]
+    others = [f"{', '.join(n)}: {text}" for text, n in names_of.items() if len(n) < count]
     return everyone + others
 
 
@@ -308,7 +308,7 @@ def _lacking(runs: Sequence[Run], schema: Schema, what: str = "") -> list[str]:
 def _compared_row(run: Run) -> list[str]:
     passes, split, sizes = run.setting("mcd.passes"), run.setting("split.by"), run.per_dof.iloc[0]
     return [
-        f"{run.name} ({run.told_by})" if run.told_by else run.name,
+        f"{run.name} ({run.distinction})" if run.distinction else run.name,
         run.label,
         run.setting("model.name") or UNKNOWN,
         run.method + (f", {passes} passes" if passes else ""),

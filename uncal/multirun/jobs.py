@@ -62,7 +62,7 @@ class Job:
 
     @property
     def mask_seed(self) -> str | None:
-        """``mcd.seed`` if it was set; else it follows the seed and says nothing of its own."""
+        """``mcd.seed`` if it was set; else it follows the seed."""
         return self.overrides.get("mcd.seed")
 
     @property

@@ -1,4 +1,4 @@
-"""What a multirun says as a whole: summary.csv for programs, summary.md for people."""
+"""The summary of a multirun: summary.csv for programs, summary.md for people."""
 
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ def summary_sections(found: Sequence[Job], record: MultirunRecord, folder: Path)
     Args:
         found: all jobs in the folder.
         record: tells those of an earlier multirun apart.
-        folder: ``hydra.sweep.dir``, to say how it goes on.
+        folder: ``hydra.sweep.dir``, for the command that resumes it.
     """
     planned = record.planned
     jobs = [job for job in found if planned is None or job.overrides in planned]
@@ -144,7 +144,7 @@ def summary_sections(found: Sequence[Job], record: MultirunRecord, folder: Path)
 
 
 def continuation(command: str, folder: Path) -> str:
-    """The command that goes on with a multirun: the same, told where it has been.
+    """The command that resumes a multirun: the same, with its folder.
 
     >>> continuation("python -m uncal.train -m mcd.passes=5,10", Path("outputs/many"))
     'python -m uncal.train -m mcd.passes=5,10 hydra.sweep.dir=outputs/many'
@@ -225,9 +225,9 @@ def _figures(folder: Path) -> list[str]:
 
 
 def _without_results(jobs: Sequence[Job], planned: Sequence[Mapping[str, str]]) -> list[str]:
-    told = [*swept_keys(jobs), *REPLICATES]
+    shown = [*swept_keys(jobs), *REPLICATES]
     lines = [
-        f"`{job.folder}`{_settings(job.overrides, told)}: {job.failure}"
+        f"`{job.folder}`{_settings(job.overrides, shown)}: {job.failure}"
         for job in jobs
         if job.table is None
     ]
@@ -237,9 +237,9 @@ def _without_results(jobs: Sequence[Job], planned: Sequence[Mapping[str, str]]) 
 
 
 def _settings(overrides: Mapping[str, str], keys: Iterable[str]) -> str:
-    """What tells a job from the others; the command has the rest."""
-    told = ", ".join(f"{key}={overrides[key]}" for key in keys if key in overrides)
-    return f" ({told})" if told else ""
+    """What sets a job apart; the command has the rest."""
+    pairs = ", ".join(f"{key}={overrides[key]}" for key in keys if key in overrides)
+    return f" ({pairs})" if pairs else ""
 
 
 def _state(folder: Path) -> set[tuple[str, int, int]]:

@@ -102,7 +102,7 @@ def _per_dof(
 def _per_job(
     frame: pd.DataFrame, column: str, dofs: Sequence[str] = DOF_NAMES
 ) -> pd.Series[float] | None:
-    """Mean over the DoF that have it: NaN, of a DoF without decalibration, says nothing."""
+    """Mean over the DoF that have it; a DoF without decalibration has NaN."""
     if column not in frame.columns:
         return None
     means: pd.Series[float] = frame[frame["dof"].isin(dofs)].groupby("folder")[column].mean()

@@ -59,7 +59,7 @@ RESULTS = Schema(
         "small for the level",
         "is": "mean interval score",
         "coverage_low": "lower end of the Beta-Binomial law's reference band; it holds for split "
-        "conformal intervals, for other methods it only says what those would show",
+        "conformal intervals, for other methods it is for reference only",
         "coverage_high": "its upper end",
         "in_band": "whether picp lies in that band",
         "mae_before": "mean |decalibration|",

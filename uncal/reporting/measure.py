@@ -1,4 +1,4 @@
-"""Everything that a test says, measured once: a few tidy frames and the errors of the whole pose.
+"""The results of a test, measured once: a few tidy frames and the errors of the whole pose.
 
 What the columns mean is documented in :mod:`uncal.reporting.frames`.
 """
@@ -235,7 +235,7 @@ def _joint_row(test: Evaluation, level: float) -> dict[str, object]:
     together = _held(test, test.intervals(level))
     box = test.boxes(level, "max")
     with warnings.catch_warnings():
-        # Nobody chose the level 1-α/6; the table says what an infinite box means.
+        # The user did not choose the level 1-α/6; the table explains infinite boxes.
         warnings.simplefilter("ignore", UserWarning)
         bonferroni = test.boxes(level, "bonferroni")
     size = relative_size(bonferroni.lower, bonferroni.upper, box.lower, box.upper)

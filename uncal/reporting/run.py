@@ -50,14 +50,14 @@ class Run:
         record: content of run.json; empty without one that can be read.
         tables: of the files that are there; results.csv always is.
         name: such as "Run 2" or "Run 3, job 0", by which a comparison refers to it.
-        told_by: what tells it from other jobs of its multirun, such as "mcd.passes=5".
+        distinction: what sets it apart from other jobs of its multirun, such as "mcd.passes=5".
     """
 
     folder: Path
     record: Mapping[str, object]
     tables: Mapping[Schema, pd.DataFrame]
     name: str = ""
-    told_by: str = ""
+    distinction: str = ""
 
     @property
     def per_dof(self) -> pd.DataFrame:
@@ -100,8 +100,8 @@ class Run:
     @property
     def source(self) -> str:
         """Name, data and method in one cell."""
-        told = f" ({self.told_by})" if self.told_by else ""
-        return f"{self.name}{told}: {self.label}; {self.method}"
+        job = f" ({self.distinction})" if self.distinction else ""
+        return f"{self.name}{job}: {self.label}; {self.method}"
 
     @property
     def origin(self) -> str:
@@ -140,7 +140,7 @@ class Run:
         return setting(self.settings, key)
 
 
-def read_run(folder: Path, name: str = "", told_by: str = "") -> Run:
+def read_run(folder: Path, name: str = "", distinction: str = "") -> Run:
     """Read what a run has left; only results.csv must be there.
 
     Raises:
@@ -160,7 +160,7 @@ def read_run(folder: Path, name: str = "", told_by: str = "") -> Run:
         )
     present = [schema for schema in TABLES if (folder / schema.file).is_file()]
     tables = {schema: read_csv(folder / schema.file, schema) for schema in present}
-    return Run(folder, read_record(folder) or {}, tables, name, told_by)
+    return Run(folder, read_record(folder) or {}, tables, name, distinction)
 
 
 def setting(settings: Mapping[str, object], key: str) -> str | None:

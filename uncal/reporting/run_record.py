@@ -66,7 +66,7 @@ class RunRecord:
             (self.path.parent / name).unlink(missing_ok=True)
 
     def finished_earlier(self) -> Mapping[str, object] | None:
-        """The record of a run that asked the same and ended, in the same folder; None without."""
+        """The record of a finished run of the same request in the same folder; None without."""
         found = read_record(self.path.parent)
         if found is None or found.get("request") != self.request:
             return None

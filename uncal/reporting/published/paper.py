@@ -35,7 +35,7 @@ class PublishedValue:
 
 
 class PublishedError(NamedTuple):
-    """Mean errors of the estimate on real KITTI, as printed; per axis or as a whole is not said."""
+    """Mean errors of the estimate on real KITTI, as printed; per axis or in total is unstated."""
 
     source: str
     translation: str
