@@ -13,7 +13,7 @@ from omegaconf import DictConfig
 
 from uncal.assembly import build_data, build_module, build_trainer
 from uncal.callbacks.report import Report
-from uncal.checkpoint import load_weights, read_recipe, save_weights
+from uncal.checkpoint import load_weights, read_recipe, save_weights, start_from
 from uncal.configuration import CONFIG_DIR, exits_on_error, job_folder, quiet_libraries
 from uncal.data.datamodule import CalibrationDataModule
 from uncal.errors import UncalError
@@ -22,6 +22,7 @@ from uncal.models.module import CalibrationModule
 from uncal.runs import finished_earlier, keep_results, make_record, remember_passes
 from uncal.weights.ingredients import data_ingredients, training_ingredients
 from uncal.weights.obtain import Weights, obtain
+from uncal.weights.shipped import find_weights
 from uncal.weights.store import WeightStore
 
 log = logging.getLogger(__name__)
@@ -44,6 +45,8 @@ def main(config: DictConfig) -> float:
     lightning.seed_everything(config.seed, workers=True, verbose=False)
     data = build_data(config)
     module = build_module(config)
+    if config.model.get("weights") is not None:
+        start_from(module, find_weights(config.model.weights))
     trainer = build_trainer(config)
 
     shared = data_ingredients(config, data)

@@ -48,7 +48,7 @@ def edge_maps(camera: Tensor, window: int, image_edges: str = "mean") -> Tensor:
 
 
 def box_mean(x: Tensor, half: int) -> Tensor:
-    """Mean over squares of 2·half + 1 pixels; the border repeats.
+    """Mean over squares of about 2·half + 1 pixels; the border repeats.
 
     Args:
         x: (B, C, H, W).
@@ -57,7 +57,11 @@ def box_mean(x: Tensor, half: int) -> Tensor:
     Returns:
         The same shape.
     """
-    side = 2 * half + 1
-    x = F.pad(x, (half, half, half, half), mode="replicate")
-    # One direction after the other: a square window costs its area, two lines their lengths.
-    return F.avg_pool2d(F.avg_pool2d(x, (1, side), 1), (side, 1), 1)
+    # A wide mean is smooth: a quarter of the pixels will do, one direction after the other.
+    step = min(4, max(1, half // 3))
+    small = F.avg_pool2d(x, step, ceil_mode=True)
+    reach = max(1, round(half / step))
+    side = 2 * reach + 1
+    padded = F.pad(small, (reach, reach, reach, reach), mode="replicate")
+    mean = F.avg_pool2d(F.avg_pool2d(padded, (1, side), 1), (side, 1), 1)
+    return F.interpolate(mean, x.shape[-2:], mode="bilinear", align_corners=False)
