@@ -13,13 +13,19 @@ from lightning import LightningModule, Trainer
 
 from uncal import __version__
 from uncal.callbacks.image_blind import ImageBlindControl
-from uncal.data.datamodule import CalibrationDataModule
+from uncal.data.datamodule import WINDOWED, CalibrationDataModule
 from uncal.errors import ConfigurationError
 from uncal.models.module import CalibrationModule
 from uncal.reporting.measure import Results, measure
 from uncal.reporting.report import format_report, write_report
 
 log = logging.getLogger(__name__)
+
+SPREAD_NOTES = {
+    "solver": "σ is the covariance of the least-squares solver (mcd.spread=solver).",
+    "total": "σ is dropout's and the solver's, added in quadrature (mcd.spread=total).",
+}
+"""What a table says of a σ that is not the paper's."""
 
 
 class Report(lightning.Callback):
@@ -68,6 +74,7 @@ class Report(lightning.Callback):
             bounds=tested.bounds,
             control=None if control is None else control.among(tested.place),
             frames=[str(frames[i]) for i in tested.place.tolist()],
+            ellipsoid=(pl_module.ellipsoid, tested.covariance),
         )
         data.share_skipped()
         if not trainer.is_global_zero:
@@ -89,6 +96,14 @@ def run_notes(module: CalibrationModule, data: CalibrationDataModule) -> list[st
         f"Split by {data.split_by}: {sizes} frames. {_passes(module)}, intervals of kind "
         f"{module.calibrator.kind}, seed {data.seed}, uncal {__version__}.",
     ]
+    if data.window.frames > 1:
+        counts = ", ".join(f"{len(data.units[name])} {name.replace('_', ' ')}" for name in WINDOWED)
+        notes.append(
+            f"One estimate per window of {data.window.frames} consecutive frames ({counts} "
+            "windows): the numbers below count windows, and intervals are calibrated on windows."
+        )
+    if module.spread != "dropout":
+        notes.append(SPREAD_NOTES[module.spread])
     if data.split_note:
         notes.append(data.split_note)
     tested = {frame.rig for frame in data.named("test")}

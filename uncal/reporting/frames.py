@@ -83,6 +83,9 @@ JOINT = Schema(
         "bonferroni": "empirical coverage of the box of six intervals at level 1 - α/6",
         "bonferroni_size": "its width per DoF over the joint box's (geometric mean); inf if only "
         "it is infinite, NaN if both are",
+        "ellipsoid": "empirical coverage of the joint ellipsoid, from the Mahalanobis distance",
+        "ellipsoid_size": "the joint box's width per DoF over the ellipsoid's (sixth root of the "
+        "ratio of their volumes, geometric mean over frames); NaN where there is no ellipsoid",
         **_SIZES,
     },
     complete=None,

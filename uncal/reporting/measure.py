@@ -19,11 +19,13 @@ from uncal.geometry import DOF_NAMES, DOF_SCALE, DOF_UNITS, pose_to_matrix
 from uncal.metrics.conditional import BinnedCoverage, coverage_by_bin
 from uncal.metrics.functional import covered, interval_score, mpiw
 from uncal.metrics.joint import jointly_covered, relative_size
+from uncal.metrics.joint import log_volume as log_volume_of_boxes
 from uncal.metrics.pose_error import PoseErrors, pose_errors, rotation_angle
 from uncal.reporting.control import control_table
 from uncal.reporting.evaluation import Evaluation, Guarantee, percent
 from uncal.reporting.frames import bound_columns, table
 from uncal.uncertainty.calibrator import IntervalCalibrator
+from uncal.uncertainty.ellipsoid import EllipsoidCalibrator, log_volume, mahalanobis
 from uncal.uncertainty.intervals import Intervals
 from uncal.uncertainty.quantile import miscoverage
 
@@ -77,6 +79,7 @@ def measure(
     bounds: tuple[Tensor, Tensor] | None = None,
     control: ControlPrediction | None = None,
     frames: Sequence[str] | None = None,
+    ellipsoid: tuple[EllipsoidCalibrator, Tensor] | None = None,
 ) -> Results:
     """Measure everything that the report shows.
 
@@ -90,6 +93,7 @@ def measure(
         bounds: (n, 6) lower and upper quantile outputs, where the calibrator needs them.
         control: the image-blind control on the same frames.
         frames: n names of the frames, for the single predictions.
+        ellipsoid: a second joint region, fitted, and the (n, 6, 6) covariances.
 
     Raises:
         UncertaintyError: the predictions or a level allow no interval.
@@ -103,7 +107,7 @@ def measure(
     return Results(
         per_dof=per_dof,
         summary=pose_errors(test.mean, test.target, test.m),
-        joint=joint_table(test, levels),
+        joint=joint_table(test, levels, ellipsoid),
         conditional=conditional_table(test, levels),
         curve=curve_table(test),
         guarantee=test.guarantee,
@@ -145,9 +149,36 @@ def per_dof_table(test: Evaluation, levels: Sequence[float]) -> pd.DataFrame:
     return table(rows)
 
 
-def joint_table(test: Evaluation, levels: Sequence[float]) -> pd.DataFrame:
+def joint_table(
+    test: Evaluation,
+    levels: Sequence[float],
+    ellipsoid: tuple[EllipsoidCalibrator, Tensor] | None = None,
+) -> pd.DataFrame:
     """One row per level: how often the whole pose is held."""
-    return table([_joint_row(test, level) for level in levels])
+    return table(
+        [
+            {**_joint_row(test, level), **_ellipsoid_columns(test, level, ellipsoid)}
+            for level in levels
+        ]
+    )
+
+
+def _ellipsoid_columns(
+    test: Evaluation, level: float, ellipsoid: tuple[EllipsoidCalibrator, Tensor] | None
+) -> dict[str, object]:
+    """Coverage of the ellipsoid, and how many times as wide per DoF the joint box is."""
+    if ellipsoid is None or not ellipsoid[0].is_fitted:
+        return {"ellipsoid": math.nan, "ellipsoid_size": math.nan}
+    covariance = ellipsoid[1].cpu().double()
+    radius = ellipsoid[0].radius(level).cpu().double()
+    inside = mahalanobis(test.mean, covariance, test.target) <= radius
+    box = test.boxes(level, "max")
+    ratio = log_volume_of_boxes(box.lower, box.upper) - log_volume(covariance, radius)
+    size = (ratio.mean() / test.mean.shape[1]).exp()
+    return {
+        "ellipsoid": 100 * float(inside.double().mean()),
+        "ellipsoid_size": float(size) if radius.isfinite() else math.nan,
+    }
 
 
 def conditional_table(
@@ -231,7 +262,6 @@ def predictions_table(
 
 
 def _joint_row(test: Evaluation, level: float) -> dict[str, object]:
-    """A further region, such as an ellipsoid, adds its columns here and in the schema."""
     together = _held(test, test.intervals(level))
     box = test.boxes(level, "max")
     with warnings.catch_warnings():

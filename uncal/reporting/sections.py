@@ -56,6 +56,10 @@ def joint_section(joint: pd.DataFrame, guarantee: Guarantee) -> Section:
         ["Bonferroni box (%)", *(number(v, 1) for v in joint["bonferroni"])],
         ["Bonferroni / joint, width", *(number(v, 2) for v in joint["bonferroni_size"])],
     ]
+    if joint["ellipsoid"].notna().any():
+        grid.append(["Joint ellipsoid (%)", *(number(v, 1) for v in joint["ellipsoid"])])
+        sizes = (number(v, 2) for v in joint["ellipsoid_size"])
+        grid.append(["Joint box / ellipsoid, width", *sizes])
     notes = [
         "All six intervals at once: the level applies to each DoF alone, not to all six together.",
         "Joint box: intervals for all six DoF at once, from the largest score.",
