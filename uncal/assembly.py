@@ -25,6 +25,7 @@ from uncal.models.evidence import EvidenceNetwork
 from uncal.models.module import CalibrationModule
 from uncal.models.prediction import SPREADS
 from uncal.recordings.frame import Recording
+from uncal.settings.guard import names_the_setting
 from uncal.simulation.cache import ensure_simulated
 from uncal.simulation.manifest import MANIFEST_NAME
 from uncal.simulation.settings import SimulationSettings
@@ -65,6 +66,10 @@ def build_data(config: DictConfig) -> CalibrationDataModule:
     dataset = config.dataset
     inputs: InputSettings = instantiate(config.model.inputs)
     check_pairing(config, inputs)
+    # Made before the recordings are, so that what they refuse costs nothing.
+    decalibration, split = instantiate(config.decalibration), instantiate(config.split)
+    loader, augmentation = instantiate(dataset.loader), instantiate(config.augmentation)
+    window = instantiate(config.window)
     if "simulation" in dataset:
         plain = OmegaConf.to_container(dataset.simulation, resolve=True)
         settings = SimulationSettings.from_mapping(cast(Mapping[str, object], plain))
@@ -78,13 +83,13 @@ def build_data(config: DictConfig) -> CalibrationDataModule:
         image_size=image_size(dataset.image_size)
         if dataset.image_size is not None
         else recorded_size(recording, focal_px),
-        decalibration=instantiate(config.decalibration),
-        split=instantiate(config.split),
-        loader=instantiate(dataset.loader),
+        decalibration=decalibration,
+        split=split,
+        loader=loader,
         inputs=inputs,
-        augmentation=instantiate(config.augmentation),
+        augmentation=augmentation,
         seed=config.seed,
-        window=instantiate(config.window),
+        window=window,
         focal_px=focal_px,
     )
 
@@ -149,6 +154,7 @@ def check_pairing(config: DictConfig, inputs: InputSettings) -> None:
     )
 
 
+@names_the_setting("model", "mcd", "interval")
 def build_module(config: DictConfig) -> CalibrationModule:
     """Make the network and the LightningModule around it, untrained.
 
@@ -232,6 +238,7 @@ def _calibrator(config: DictConfig, decalibration: DecalibrationRange) -> Interv
     return cast(IntervalCalibrator, make(names=DOF_NAMES, **scales))
 
 
+@names_the_setting("trainer", "callbacks", "logger")
 def build_trainer(config: DictConfig) -> lightning.Trainer:
     """Make the trainer with the configured callbacks and loggers.
 
