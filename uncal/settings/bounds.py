@@ -26,6 +26,7 @@ BOUNDS: Mapping[str, Rule] = {
     "ckpt": Either(Text(), None),
     "store": Either(Text(), None),
     "weights": Either(Text(), None),
+    "model.weights": Either(Text(), None),
     "root": Text(),
     "workers": Either(Number(1, 256, whole=True), None),
     "device": Words("auto", "cpu", "cuda"),

@@ -122,7 +122,8 @@ def _may_be_null(
         # One of several groups by name, such as callbacks; or the logger.
         beside = [v for k, v in defaults.items() if k.rpartition(".")[0] == group]
         named = bool(group) and all(isinstance(value, dict) for value in beside)
-        return key not in NEEDED and (named or key == "logger")
+        holds_named = bool(default) and all(isinstance(v, dict) for v in default.values())
+        return key not in NEEDED and (named or key == "logger" or (holds_named and not _needs(key)))
     rule = bounds_of(key)
     if rule is not None:
         return rule.holds(None)
@@ -131,6 +132,11 @@ def _may_be_null(
         return False
     annotation = annotation_of(target, name)
     return annotation is not None and "None" in described(annotation)
+
+
+def _needs(group: str) -> bool:
+    """Whether something in a group is needed."""
+    return any(name.startswith(f"{group}.") for name in NEEDED)
 
 
 def _between(config: DictConfig) -> Iterator[str]:
