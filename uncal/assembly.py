@@ -96,10 +96,10 @@ def build_data(config: DictConfig) -> CalibrationDataModule:
 
 
 def recorded_size(recording: Recording, focal_px: float | None) -> tuple[int, int]:
-    """The size of a recording's images, in multiples of 8 pixels.
+    """The size that the images of all rigs cover, in multiples of 8 pixels.
 
     Args:
-        recording: of which the first readable frame is looked at.
+        recording: of which one readable frame per rig is looked at.
         focal_px: focal length that they are brought to, pixels; None: their own.
 
     Returns:
@@ -108,7 +108,10 @@ def recorded_size(recording: Recording, focal_px: float | None) -> tuple[int, in
     Raises:
         RecordingError: no frame can be read.
     """
+    rigs: dict[str, tuple[int, int]] = {}
     for frame_id in recording.frame_ids:
+        if frame_id.rig in rigs:
+            continue
         try:
             frame = recording.load(frame_id)
         except FrameError:
@@ -119,7 +122,10 @@ def recorded_size(recording: Recording, focal_px: float | None) -> tuple[int, in
             assert frame.events is not None
             source = frame.events.size
         focal = float(frame.K[0, 0])
-        return size_at_focal(source, focal, focal if focal_px is None else focal_px)
+        rigs[frame_id.rig] = size_at_focal(source, focal, focal_px or focal)
+    if rigs:
+        heights, widths = zip(*rigs.values(), strict=True)
+        return min(heights), min(widths)
     raise RecordingError("no frame of the recording can be read: see the skipped ones above")
 
 

@@ -9,7 +9,7 @@ import hydra
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from uncal.configuration import CONFIG_DIR, exits_on_error, quiet_libraries
+from uncal.configuration import CONFIG_DIR, exits_on_error, job_folder, quiet_libraries
 from uncal.errors import ConfigurationError
 
 log = logging.getLogger(__name__)
@@ -35,7 +35,7 @@ def main(config: DictConfig) -> float:
     from uncal.asked import with_settings_of
     from uncal.assembly import RECIPE, build_data, build_module, build_trainer, say_simulated
     from uncal.callbacks.report import Report
-    from uncal.checkpoint import load_weights, read_recipe
+    from uncal.checkpoint import load_weights, read_recipe, save_weights
     from uncal.memory import keep_freed_memory
     from uncal.runs import finished_earlier, keep_results, make_record, remember_passes
     from uncal.settings.check import check_settings, refuse_values
@@ -78,6 +78,7 @@ def main(config: DictConfig) -> float:
         remember_passes(run, module, trainer, data_ingredients(run, data))
     trainer.test(module, datamodule=data, verbose=False)
     if trainer.is_global_zero:
+        save_weights(module, job_folder() / "checkpoints" / "best.ckpt")
         keep_results(record, trainer, module, weights)
     return Report.of(trainer).results.summary.mean_ratio
 

@@ -31,10 +31,10 @@ COLUMNS: tuple[str, ...] = (
     *("kind", "side", "strength", "gap"),
     *("reflectance", "contrast"),
 )
-"""Columns of an edge: position in metres in the LiDAR frame, in the middle of the gap; number of its
-kind; side of the farther (darker) neighbour, +1 left or up, -1 right or down; strength, 0..1 (relative
-jump of inverse range, or of reflectance); width of the gap in radians; reflectance of the nearer
-neighbour, and what the farther one has more."""
+"""Columns of an edge: position in metres in the LiDAR frame, in the middle of the gap; number of
+its kind; side of the farther (darker) neighbour, +1 left or up, -1 right or down; strength, 0..1
+(relative jump of inverse range, or of reflectance); width of the gap in radians; reflectance of the
+nearer neighbour, and what the farther one has more."""
 
 KIND, SIDE, STRENGTH, GAP, REFLECTANCE, CONTRAST = range(3, 9)
 """Numbers of the columns behind the position."""
