@@ -5,21 +5,19 @@ from __future__ import annotations
 import logging
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import hydra
-import torch
 from hydra import compose
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
-from torch import Tensor
 
-from uncal.assembly import build_module, choice
-from uncal.benchmarking.latency import measure_latency
-from uncal.benchmarking.tables import write_latency, write_trade
-from uncal.benchmarking.trade import measure_trade
 from uncal.configuration import CONFIG_DIR, exits_on_error, quiet_libraries
 from uncal.errors import ConfigurationError
-from uncal.memory import keep_freed_memory
+
+if TYPE_CHECKING:
+    import torch
+    from torch import Tensor
 
 log = logging.getLogger(__name__)
 
@@ -32,8 +30,19 @@ def main(config: DictConfig) -> None:
     Args:
         config: conf/benchmark.yaml with the command line's overrides.
     """
+    # Here and not above: they take seconds, which --help has no use for.
+    import torch
+
+    from uncal.assembly import build_module
+    from uncal.benchmarking.latency import measure_latency
+    from uncal.benchmarking.tables import write_latency, write_trade
+    from uncal.benchmarking.trade import measure_trade
+    from uncal.memory import keep_freed_memory
+    from uncal.settings.check import check_settings
+
     keep_freed_memory()
     quiet_libraries()
+    check_settings(config)
     folder = Path(HydraConfig.get().runtime.output_dir)
     device = pick_device(config.device)
     compiled = device.type == "cuda" if config.compile == "auto" else bool(config.compile)
@@ -73,6 +82,10 @@ def pick_device(name: str) -> torch.device:
     Raises:
         ConfigurationError: another name, or a GPU that is not there.
     """
+    import torch
+
+    from uncal.assembly import choice
+
     choice("device", name, ("auto", "cpu", "cuda"))
     if name == "cuda" and not torch.cuda.is_available():
         raise ConfigurationError("device=cuda: torch finds no GPU here; use device=cpu")
@@ -81,6 +94,8 @@ def pick_device(name: str) -> torch.device:
 
 def device_name(device: torch.device) -> str:
     """For people."""
+    import torch
+
     return torch.cuda.get_device_name(device) if device.type == "cuda" else "CPU"
 
 
@@ -98,6 +113,8 @@ def made_up(
     Returns:
         x (B, 5, H, W), inverse depth (B, 1, H, W), K (B, 3, 3), T_init (B, 4, 4).
     """
+    import torch
+
     generator = torch.Generator().manual_seed(0)
     height, width = size
     depth = torch.rand(batch, 1, height, width, generator=generator)

@@ -37,6 +37,35 @@ def load_weights(module: CalibrationModule, path: Path, calibrated: bool) -> Non
     _load(module, state, path)
 
 
+def check_start(module: CalibrationModule, path: Path) -> None:
+    """Refuse a checkpoint that a training of this network cannot go on from.
+
+    Args:
+        module: of the training.
+        path: what ``ckpt=`` names.
+
+    Raises:
+        ConfigurationError: no such file, not a checkpoint of this project, another network's, or
+            weights without the state of their training.
+    """
+    state, _ = load_checkpoint(path)
+    _check_shapes(module, state, path)
+    missing = [key for key in module.state_dict() if key not in state and not key.startswith(OWN)]
+    unknown = [key for key in state if key not in module.state_dict() and not key.startswith(OWN)]
+    if missing or unknown:
+        raise ConfigurationError(
+            f"ckpt={path}: {', '.join((*missing, *unknown)[:3])}: not of this network; give the "
+            "settings under model= that it was trained with"
+        )
+    content = torch.load(path, map_location="cpu", weights_only=True)
+    if "optimizer_states" not in content:
+        raise ConfigurationError(
+            f"ckpt={path}: holds weights, but not the state of their training, which ckpt= goes on "
+            f"with; give a run's last.ckpt, or start a training from the weights: "
+            f"model.weights={path}"
+        )
+
+
 def start_from(module: CalibrationModule, path: Path) -> None:
     """Begin a training with weights instead of random numbers.
 
@@ -83,7 +112,7 @@ def _read(path: Path) -> tuple[dict[str, Tensor], DictConfig]:
     return load_shipped(path) if path.suffix == ".safetensors" else load_checkpoint(path)
 
 
-def _load(module: CalibrationModule, state: dict[str, Tensor], path: Path) -> None:
+def _check_shapes(module: CalibrationModule, state: dict[str, Tensor], path: Path) -> None:
     shapes = {key: value.shape for key, value in module.state_dict().items()}
     other = [
         key
@@ -92,6 +121,10 @@ def _load(module: CalibrationModule, state: dict[str, Tensor], path: Path) -> No
     ]
     if other:
         raise ConfigurationError(f"{path}: {', '.join(other[:3])}: of another size of network")
+
+
+def _load(module: CalibrationModule, state: dict[str, Tensor], path: Path) -> None:
+    _check_shapes(module, state, path)
     missing, unknown = module.load_state_dict(state, strict=False)
     wrong = [key for key in (*missing, *unknown) if not key.startswith(OWN)]
     if wrong:

@@ -6,22 +6,11 @@ import logging
 from pathlib import Path
 
 import hydra
-import lightning
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from uncal.asked import with_settings_of
-from uncal.assembly import RECIPE, build_data, build_module, build_trainer
-from uncal.callbacks.report import Report
-from uncal.checkpoint import load_weights, read_recipe, save_weights
 from uncal.configuration import CONFIG_DIR, exits_on_error, job_folder, quiet_libraries
 from uncal.errors import ConfigurationError
-from uncal.memory import keep_freed_memory
-from uncal.runs import finished_earlier, keep_results, make_record, remember_passes
-from uncal.weights.digest import digest_of_file
-from uncal.weights.ingredients import data_ingredients
-from uncal.weights.obtain import Weights
-from uncal.weights.shipped import find_weights, shipped_names
 
 log = logging.getLogger(__name__)
 
@@ -40,15 +29,32 @@ def main(config: DictConfig) -> float:
     Returns:
         Mean over the DoF of mean absolute error / mean absolute decalibration.
     """
+    # Here and not above: they take seconds, which --help has no use for.
+    import lightning
+
+    from uncal.asked import with_settings_of
+    from uncal.assembly import RECIPE, build_data, build_module, build_trainer, say_simulated
+    from uncal.callbacks.report import Report
+    from uncal.checkpoint import load_weights, read_recipe, save_weights
+    from uncal.memory import keep_freed_memory
+    from uncal.runs import finished_earlier, keep_results, make_record, remember_passes
+    from uncal.settings.check import check_settings, refuse_values
+    from uncal.weights.digest import digest_of_file
+    from uncal.weights.ingredients import data_ingredients
+    from uncal.weights.obtain import Weights
+
     keep_freed_memory()
     quiet_libraries()
+    check_settings(config)
     path = chosen_weights(config.weights, config.ckpt)
     recipe = read_recipe(path)
     run = with_settings_of(config, recipe, HydraConfig.get().overrides.task, RECIPE)
+    refuse_values(run, None)
     lightning.seed_everything(run.seed, workers=True, verbose=False)
-    data = build_data(run)
+    say_simulated(run)
     module = build_module(run)
     trainer = build_trainer(run)
+    data = build_data(run)
     weights = Weights(path, "", reused=True, trained=None)
     record = make_record(
         "uncal.evaluate", run, module, trainer, {"ckpt": digest_of_file(weights.path)}
@@ -87,6 +93,8 @@ def chosen_weights(weights: str | None, ckpt: str | None) -> Path:
     Raises:
         ConfigurationError: none, both, or no such file.
     """
+    from uncal.weights.shipped import find_weights, shipped_names
+
     if (weights is None) == (ckpt is None):
         raise ConfigurationError(
             f"weights={weights}, ckpt={ckpt}: give one of them; shipped weights are "

@@ -9,13 +9,8 @@ from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
 
-from uncal.comparison.gathering import gather
-from uncal.comparison.page import compare, html_page, markdown_text, terminal_text
-from uncal.comparison.tidy import tidy_csv
 from uncal.configuration import exits_on_error, quiet_libraries
 from uncal.errors import UncalError
-from uncal.reporting.layout import write_whole
-from uncal.reporting.published import published_paper
 
 DESCRIPTION = """\
 Shows one or several runs next to the paper's Table 1 and Table 2 (WACV 2025): intervals, MC dropout
@@ -46,6 +41,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
         arguments: of the command line; None takes the process's own.
     """
     options = parser().parse_args(arguments)
+    # Here and not above: they take seconds, which --help has no use for.
+    from uncal.comparison.gathering import gather
+    from uncal.comparison.page import compare, html_page, markdown_text, terminal_text
+    from uncal.comparison.tidy import tidy_csv
+    from uncal.reporting.layout import write_whole
+    from uncal.reporting.published import published_paper
+
     quiet_libraries()
     gathered, paper = gather(options.runs), published_paper()
     given = sys.argv[1:] if arguments is None else arguments

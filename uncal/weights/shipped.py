@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from pickle import UnpicklingError
 from typing import cast
 
 import torch
@@ -101,6 +102,19 @@ def load_checkpoint(path: Path) -> tuple[dict[str, Tensor], DictConfig]:
         state, recipe = content["state_dict"], content["uncal_recipe"]
     except Exception as error:
         raise ConfigurationError(
-            f"ckpt={path}: not a checkpoint that uncal.train wrote ({error})"
+            f"ckpt={path}: not a checkpoint that uncal.train wrote ({_reason(error)}); runs keep "
+            "theirs under outputs/*/*/checkpoints/best.ckpt"
         ) from error
     return state, cast(DictConfig, OmegaConf.create(recipe))
+
+
+def _reason(error: Exception) -> str:
+    """Why a file is no checkpoint, without torch's advice to trust it."""
+    if isinstance(error, KeyError):
+        return f"it has no {error}"
+    if isinstance(error, UnpicklingError) and "Unsupported" in str(error):
+        return "it is a pickle that may run code, which was refused: nothing of it was run"
+    if isinstance(error, UnpicklingError | EOFError | ValueError):
+        return "its bytes are not those of a checkpoint"
+    lines = str(error).splitlines()
+    return lines[0] if lines else type(error).__name__
