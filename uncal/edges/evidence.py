@@ -1,11 +1,12 @@
 """From what an image shows around projected edges to normal equations of the decalibration.
 
-An edge of the sweep, projected with the extrinsic as it is assumed now, should lie on an edge of the
-image. Along the direction in which it is sharp (columns for an edge between azimuths, rows for one
-between lasers) a *curve* gives the log-likelihood of each offset. A curve may have several peaks, so
-it is not reduced to its best: under the uncertainty of the pose as it is now, the curve's posterior
-has a mean and a variance, and the Gaussian that turns the prior into that posterior is the edge's
-contribution (assumed-density filtering; Minka 2001, "Expectation propagation", section 3.1).
+An edge of the sweep, projected with the extrinsic as it is assumed now, should lie on an edge of
+the image. Along the direction in which it is sharp (columns for an edge between azimuths, rows for
+one between lasers) a *curve* gives the log-likelihood of each offset. A curve may have several
+peaks, so it is not reduced to its best: under the uncertainty of the pose as it is now, the curve's
+posterior has a mean and a variance, and the Gaussian that turns the prior into that posterior is
+the edge's contribution (assumed-density filtering; Minka 2001, "Expectation propagation", section
+3.1).
 """
 
 from __future__ import annotations

@@ -7,13 +7,13 @@ from torch import Tensor
 from torch.nn import functional as F
 
 IMAGE_EDGES: tuple[str, ...] = ("mean", "channels")
-"""What the edges are gradients of: the channels' mean (an image), or each channel's own (events)."""
+"""What edges are gradients of: the channels' mean (an image), or each channel's own (events)."""
 
 STRONGEST = 3.0
 """An edge counts at most this many times what is usual around it."""
 
 _FAINT = 0.09
-"""Added to what is usual, in units of the normalised input, lest noise in a plain area be an edge."""
+"""Added to what is usual, in units of the normalised input, lest noise of a plain area be edges."""
 
 
 def edge_maps(camera: Tensor, window: int, image_edges: str = "mean") -> Tensor:

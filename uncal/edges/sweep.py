@@ -31,10 +31,10 @@ COLUMNS: tuple[str, ...] = (
     *("kind", "side", "strength", "gap"),
     *("reflectance", "contrast"),
 )
-"""Columns of an edge: position in metres in the LiDAR frame, in the middle of the gap; number of its
-kind; side of the farther (darker) neighbour, +1 left or up, -1 right or down; strength, 0..1 (relative
-jump of inverse range, or of reflectance); width of the gap in radians; reflectance of the nearer
-neighbour, and what the farther one has more."""
+"""Columns of an edge: position in metres in the LiDAR frame, in the middle of the gap; number of
+its kind; side of the farther (darker) neighbour, +1 left or up, -1 right or down; strength, 0..1
+(relative jump of inverse range, or of reflectance); width of the gap in radians; reflectance of the
+nearer neighbour, and what the farther one has more."""
 
 KIND, SIDE, STRENGTH, GAP, REFLECTANCE, CONTRAST = range(3, 9)
 """Numbers of the columns behind the position."""
@@ -169,7 +169,7 @@ def _along(s: _Sweep) -> NDArray[np.float32]:
     lift = s.elevation[near] + side * gap / 2
     found.append(_edges(s, near, far, 3, side, jump[depth], gap, None, lift))
 
-    # Tops against nothing: no return of the three lasers above.
+    # Tops against nothing: no return of the two lasers above.
     free = ~there
     above = np.ones_like(there)
     above[:-1] &= free[1:]
