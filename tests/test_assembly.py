@@ -15,8 +15,12 @@ from uncal.assembly import (
     validation_interval,
 )
 from uncal.configuration import CONFIG_DIR
+from uncal.data.network_input import NetworkInput
+from uncal.edges.sweep import COLUMNS
 from uncal.errors import ConfigurationError
-from uncal.models.muliev import MuliEv
+from uncal.models.alignment import AlignmentEstimator
+from uncal.models.estimator import PoseEstimator
+from uncal.recordings.frame import FrameId
 
 
 def composed(*overrides: str) -> DictConfig:
@@ -24,7 +28,7 @@ def composed(*overrides: str) -> DictConfig:
         return compose("train", list(overrides))
 
 
-@pytest.mark.parametrize("backbone", ["correlation", "mobilevit_xxs", "mobilevit_s"])
+@pytest.mark.parametrize("backbone", ["edges", "mobilevit_xxs", "mobilevit_s"])
 @pytest.mark.parametrize("head", ["geometric", "mlp"])
 def test_every_model_option_builds(backbone: str, head: str) -> None:
     with initialize_config_dir(CONFIG_DIR, version_base="1.3"):
@@ -35,7 +39,7 @@ def test_every_model_option_builds(backbone: str, head: str) -> None:
     assert module.recipe["seed"] == 0
 
 
-@pytest.mark.parametrize("backbone", ["correlation", "mobilevit_xxs"])
+@pytest.mark.parametrize("backbone", ["edges", "mobilevit_xxs"])
 @pytest.mark.parametrize(
     ("representation", "channels"), [("voxel_grid", 12), ("histogram", 4), ("time_surface", 4)]
 )
@@ -45,11 +49,43 @@ def test_every_event_representation_builds(
     choices = [f"model/backbone={backbone}", f"model/inputs/events={representation}"]
     config = composed("dataset=dsec", *choices)
     module = build_module(config)
-    assert isinstance(module.estimator.network, MuliEv)
+    kind = AlignmentEstimator if backbone == "edges" else PoseEstimator
+    assert isinstance(module.estimator, kind)
     assert {0.25, 0.10} <= set(module.engine.identity().rates)
     x = torch.zeros(2, channels, 64, 96)
     K = torch.tensor([[90.0, 0.0, 48.0], [0.0, 90.0, 32.0], [0.0, 0.0, 1.0]]).expand(2, 3, 3)
-    assert module.estimator(x, x[:, :1], K, torch.eye(4).expand(2, 4, 4)).shape == (2, 6)
+    inputs = NetworkInput(
+        x=x,
+        inverse_depth=x[:, :1],
+        K=K,
+        T_init=torch.eye(4).expand(2, 4, 4),
+        target=torch.zeros(2, 6),
+        place=torch.arange(2),
+        frames=[FrameId("rig", "drive", i) for i in range(2)],
+        unit=torch.arange(2),
+        edges=torch.full((2, 5, len(COLUMNS)), torch.nan),
+    )
+    assert module(inputs).shape == (2, 6)
+    assert config.model.inputs.edges == (1024 if backbone == "edges" else 0)
+
+
+def test_what_needs_a_solver_is_refused_before_anything_is_trained() -> None:
+    mobilevit = "model/backbone=mobilevit_xxs"
+    with pytest.raises(ConfigurationError, match=r"window\.frames=4.*model/backbone=edges"):
+        build_module(composed(mobilevit, "window.frames=4"))
+    with pytest.raises(ConfigurationError, match=r"mcd\.spread=total.*model/backbone=edges"):
+        build_module(composed(mobilevit, "mcd.spread=total"))
+    build_module(composed("window.frames=4", "mcd.spread=total"))
+
+
+def test_quantiles_need_a_network_with_a_head_for_them() -> None:
+    head, mobilevit = "model/head=quantile", "model/backbone=mobilevit_xxs"
+    for choices in ([], [head]):
+        with pytest.raises(ConfigurationError, match=f"{mobilevit} {head}"):
+            build_module(composed("interval=cqr", *choices))
+    with pytest.raises(ConfigurationError, match=f"add {head}"):
+        build_module(composed("interval=cqr", mobilevit))
+    build_module(composed("interval=cqr", mobilevit, head))
 
 
 @pytest.mark.parametrize(

@@ -182,6 +182,8 @@ def build_module(config: DictConfig) -> CalibrationModule:
     if config.mcd.insert is not None:
         added = insert_dropout(network, **instantiate(config.mcd.insert))
         log.info("dropout inserted: %s", ", ".join(added))
+    if not isinstance(network, EvidenceNetwork):
+        _refuse_what_needs_a_solver(config)
     decalibration: DecalibrationRange = instantiate(config.decalibration)
     module = CalibrationModule(
         estimator=_estimator(config, network, decalibration),
@@ -231,6 +233,20 @@ def _estimator(
     )
 
 
+def _refuse_what_needs_a_solver(config: DictConfig) -> None:
+    """Before a training, not after it."""
+    if config.window.frames > 1:
+        raise ConfigurationError(
+            f"window.frames={config.window.frames} adds up the normal equations of several frames, "
+            "and this network has none: use model/backbone=edges, or window.frames=1"
+        )
+    if config.mcd.spread in ("solver", "total"):
+        raise ConfigurationError(
+            f"mcd.spread={config.mcd.spread} needs the covariance of a solver, which this network "
+            "has not: use mcd.spread=dropout, or model/backbone=edges"
+        )
+
+
 def _engine(mcd: DictConfig, network: nn.Module, masks: FixedMasks | None) -> MCDropout:
     if mcd.passes == 1:
         return SinglePass(network)
@@ -243,10 +259,12 @@ def _engine(mcd: DictConfig, network: nn.Module, masks: FixedMasks | None) -> MC
 def _calibrator(config: DictConfig, decalibration: DecalibrationRange) -> IntervalCalibrator:
     make = instantiate(config.interval.calibrator)
     kind = make.func
-    if kind.needs_bounds and "quantile" not in str(config.model.head.get("_target_", "")).lower():
+    headless = config.model.get("edges", 0) > 0
+    quantile = "quantile" in str(config.model.head.get("_target_", "")).lower()
+    if kind.needs_bounds and (headless or not quantile):
         raise ConfigurationError(
-            f"interval: {kind.__name__} widens quantiles that the network gives, and this head "
-            "gives none: add model/head=quantile"
+            f"interval: {kind.__name__} widens quantiles that the network gives, and this one "
+            f"gives none: add {'model/backbone=mobilevit_xxs ' * headless}model/head=quantile"
         )
     if kind.needs_std and config.mcd.passes == 1 and config.mcd.spread == "dropout":
         raise ConfigurationError(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import hydra
 from hydra import compose
@@ -17,7 +17,9 @@ from uncal.errors import ConfigurationError
 
 if TYPE_CHECKING:
     import torch
-    from torch import Tensor
+
+    from uncal.data.network_input import NetworkInput
+    from uncal.models.answer import Estimator
 
 log = logging.getLogger(__name__)
 
@@ -50,13 +52,16 @@ def main(config: DictConfig) -> None:
     rows, text = [], ""
     for case in filter(None, (config.cases or {}).values()):
         model = compose("train", overrides=[*case.model, "mcd.chunk=auto"])
-        estimator = build_module(model).estimator.to(device)
+        module = build_module(model).to(device).eval()
+        estimator = cast("Estimator", module.estimator)
         for batch in case.batches:
-            inputs = made_up(estimator.bounds, tuple(case.size), batch, device)
+            inputs = made_up(tuple(case.size), batch, int(model.model.inputs.edges), device)
+            with torch.no_grad():
+                question = estimator.question(inputs)
             rows += measure_latency(
                 f"{case.name} {case.size[0]}×{case.size[1]}",
-                estimator,
-                inputs,
+                estimator.repeated,
+                question.arguments,
                 config.passes,
                 config.rounds,
                 compiled,
@@ -99,21 +104,23 @@ def device_name(device: torch.device) -> str:
     return torch.cuda.get_device_name(device) if device.type == "cuda" else "CPU"
 
 
-def made_up(
-    bounds: Tensor, size: tuple[int, ...], batch: int, device: torch.device
-) -> tuple[Tensor, ...]:
-    """Inputs of the right shapes: noise, and a tenth of the pixels with a LiDAR point.
+def made_up(size: tuple[int, ...], batch: int, edges: int, device: torch.device) -> NetworkInput:
+    """Inputs of the right shapes: noise, a tenth of the pixels with a LiDAR point, edges ahead.
 
     Args:
-        bounds: (6,), of the estimator; tells the number type.
         size: (H, W).
-        batch: B.
+        batch: B, each frame a unit of its own.
+        edges: M, of a sweep.
         device: where to.
 
     Returns:
-        x (B, 5, H, W), inverse depth (B, 1, H, W), K (B, 3, 3), T_init (B, 4, 4).
+        Input of five channels, with (B, M, columns) edges.
     """
     import torch
+
+    from uncal.data.network_input import NetworkInput
+    from uncal.edges.sweep import COLUMNS, KIND, KINDS, SIDE
+    from uncal.recordings.frame import FrameId
 
     generator = torch.Generator().manual_seed(0)
     height, width = size
@@ -124,8 +131,25 @@ def made_up(
     x = x.contiguous(memory_format=torch.channels_last)
     K = torch.tensor([[230.0, 0.0, width / 2], [0.0, 230.0, height / 2], [0.0, 0.0, 1.0]])
     T = torch.tensor([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
-    inputs = (x, inverse_depth, K.repeat(batch, 1, 1), T.repeat(batch, 1, 1))
-    return tuple(tensor.to(device, bounds.dtype) for tensor in inputs)
+    sweep = torch.rand(batch, edges, len(COLUMNS), generator=generator)
+    # Within 20° to either side and 10° up or down, 5 to 40 m away.
+    depth = 5.0 + 35.0 * sweep[..., :1]
+    aside = (2.0 * sweep[..., 1:3] - 1.0) * sweep.new_tensor([0.36, 0.18])
+    sweep[..., :3] = depth * torch.cat([torch.ones_like(depth), aside], -1)
+    sweep[..., KIND] = (len(KINDS) * sweep[..., KIND]).floor()
+    sweep[..., SIDE] = sweep[..., SIDE].round() * 2 - 1
+    places = torch.arange(batch, device=device)
+    return NetworkInput(
+        x=x.to(device),
+        inverse_depth=inverse_depth.to(device),
+        K=K.repeat(batch, 1, 1).to(device),
+        T_init=T.repeat(batch, 1, 1).to(device),
+        target=torch.zeros(batch, 6, device=device),
+        place=places,
+        frames=[FrameId("made", "up", number) for number in range(batch)],
+        unit=places,
+        edges=sweep.to(device),
+    )
 
 
 if __name__ == "__main__":

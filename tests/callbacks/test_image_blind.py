@@ -21,6 +21,7 @@ from uncal.data.split_settings import SplitSettings
 from uncal.decalibration import DecalibrationRange
 from uncal.errors import ConfigurationError
 from uncal.geometry import DOF_NAMES
+from uncal.models.estimator import PoseEstimator
 from uncal.models.module import CalibrationModule
 from uncal.recordings.kitti import KittiRaw
 from uncal.uncertainty import ConformalCalibrator, MCDropout
@@ -55,14 +56,17 @@ def run_test(
     network = Reader(channels)
     network(torch.ones(1, 5, 4, 4))
     module = CalibrationModule(
-        network=network,
-        decalibration=RANGE,
+        estimator=PoseEstimator(
+            network,
+            RANGE.bounds,
+            ridge=0.1,
+            displacement_weight=0.5,
+            quantile_levels=(0.05, 0.95),
+        ),
         optimizer=lambda parameters: torch.optim.SGD(parameters, lr=1e-3),
         warmup_fraction=0.1,
-        displacement_weight=0.5,
-        ridge=0.1,
-        quantile_levels=(0.05, 0.95),
         engine=lambda network, masks: MCDropout(network, 4, masks=masks),
+        spread="dropout",
         fixed_masks=False,
         calibrator=ConformalCalibrator(DOF_NAMES, 1e-9),
         groups="rig",

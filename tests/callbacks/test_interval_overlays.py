@@ -19,11 +19,13 @@ from uncal.callbacks.interval_overlays import IntervalOverlays, bound_extrinsics
 from uncal.callbacks.pictures import background
 from uncal.data.augmentation import Augmentation
 from uncal.data.datamodule import CalibrationDataModule, LoaderSettings
+from uncal.data.dataset import Sample
 from uncal.data.network_input import InputSettings
 from uncal.data.split_settings import SplitSettings
 from uncal.decalibration import DecalibrationRange, decalibrate
 from uncal.errors import ConfigurationError
 from uncal.geometry import DOF_NAMES, invert, matrix_to_pose, pose_to_matrix
+from uncal.models.estimator import PoseEstimator
 from uncal.models.module import CalibrationModule
 from uncal.models.prediction import SplitPrediction
 from uncal.recordings.kitti import KittiRaw
@@ -56,14 +58,17 @@ def _data(root: Path) -> CalibrationDataModule:
 def _module(data: CalibrationDataModule) -> CalibrationModule:
     """Tested on all test frames: estimates 0.1° above the truth, σ 0.01°, 0.02°, … in places."""
     module = CalibrationModule(
-        network=nn.Sequential(nn.Dropout(0.5)),
-        decalibration=RANGE,
+        estimator=PoseEstimator(
+            nn.Sequential(nn.Dropout(0.5)),
+            RANGE.bounds,
+            ridge=0.1,
+            displacement_weight=0.5,
+            quantile_levels=(0.05, 0.95),
+        ),
         optimizer=lambda parameters: torch.optim.AdamW(parameters),
         warmup_fraction=0.1,
-        displacement_weight=0.5,
-        ridge=0.1,
-        quantile_levels=(0.05, 0.95),
         engine=lambda network, masks: MCDropout(network, 5, masks=masks),
+        spread="dropout",
         fixed_masks=False,
         calibrator=ConformalCalibrator(DOF_NAMES),
         groups="rig",
@@ -77,6 +82,7 @@ def _module(data: CalibrationDataModule) -> CalibrationModule:
         mean=target + math.radians(0.1),
         std=sigma[:, None].expand(-1, 6),
         target=target,
+        covariance=torch.diag_embed(sigma[:, None].expand(-1, 6) ** 2),
     )
     one = torch.ones(9, 6)
     # All scores are 10: bounds 10 σ from the estimate.
@@ -130,8 +136,9 @@ def test_three_pictures_from_widest_to_narrowest(
         f"{0.2 * n:.2f} deg wide",
         f"Pitch at its upper bound: +{0.1 * n:.2f} deg from the estimate",
     ]
-    sample = data.datasets["test"][n - 1]
-    T_true = sample.T_cam_lidar.double()  # type: ignore[union-attr]
+    (sample,) = data.datasets["test"][n - 1]
+    assert isinstance(sample, Sample)
+    T_true = sample.T_cam_lidar.double()
     T_init = decalibrate(T_true, module.tested.target[n - 1].double())
     for caption, pitch in zip(widest, (-0.1 * n, 0.0, 0.1 * n), strict=True):
         pose = matrix_to_pose(invert(torch.from_numpy(asked[0][caption])) @ T_init)

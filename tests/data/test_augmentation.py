@@ -2,6 +2,7 @@ import torch
 
 from uncal.data.augmentation import Augmentation, mirror
 from uncal.data.dataset import Batch
+from uncal.edges.sweep import COLUMNS, KIND, KINDS, SIDE
 from uncal.geometry import pose_to_matrix
 from uncal.projection import project
 from uncal.recordings.frame import FrameId
@@ -12,11 +13,17 @@ CAMERA_FROM_LIDAR = torch.tensor([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], 
 def batch(n: int) -> Batch:
     torch.manual_seed(0)
     xyz = torch.rand(n, 4000, 3) * torch.tensor([30.0, 30.0, 8.0]) - torch.tensor([0.0, 15.0, 4.0])
+    columns = torch.rand(n, 500, len(COLUMNS))
+    columns[..., KIND] = torch.randint(0, len(KINDS), (n, 500)).float()
+    columns[..., SIDE] = torch.randint(0, 2, (n, 500)).float() * 2 - 1
+    edges = torch.cat([xyz[:, :500], columns[..., 3:]], -1)
     return Batch(
         place=torch.arange(n),
+        unit=torch.arange(n),
         frames=[FrameId("rig", "drive", i) for i in range(n)],
         camera=torch.randint(0, 256, (n, 3, 40, 64), dtype=torch.uint8),
         points=torch.cat([xyz, torch.rand(n, 4000, 1)], -1),
+        edges=edges,
         K=torch.tensor([[60.0, 0.0, 30.2], [0.0, 58.0, 19.6], [0.0, 0.0, 1.0]]).repeat(n, 1, 1),
         T_cam_lidar=CAMERA_FROM_LIDAR @ pose_to_matrix(0.1 * torch.randn(n, 6)),
         decalibration=None,

@@ -78,8 +78,8 @@ def test_culling_leaves_the_projection_of_every_decalibration_unchanged(
     bounds = data.decalibration.bounds
     for split in SPLITS:
         dataset = data.datasets[split]
-        for i, frame_id in enumerate(dataset.frame_ids):
-            sample = dataset[i]
+        for i, (frame_id,) in enumerate(dataset.units):
+            (sample,) = dataset[i]
             assert isinstance(sample, Sample)
             whole = torch.from_numpy(data.recording.load(frame_id).points)[None]
             assert sample.points.shape[0] < whole.shape[1]
@@ -111,7 +111,7 @@ def test_a_truncated_scan_is_skipped_counted_and_named(kitti_raw_root: Path) -> 
 def test_a_batch_without_a_readable_frame_is_none(kitti_raw_root: Path) -> None:
     data = data_module(kitti_raw_root)
     victim = data.splits["test"][0]
-    empty = collate([SkippedFrame(victim, "unreadable")])
+    empty = collate([[SkippedFrame(victim, "unreadable")]])
     assert data.on_after_batch_transfer(empty, 0) is None
     assert data.skipped == {str(victim): "unreadable"}
 

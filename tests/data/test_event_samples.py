@@ -8,6 +8,7 @@ from torch import Tensor
 
 from uncal.data.dataset import FrameDataset, Sample, SkippedFrame, collate
 from uncal.data.image_size import fit, resize_and_crop
+from uncal.data.windows import units_of
 from uncal.decalibration import DecalibrationRange
 from uncal.events.pixel_map import PixelMap
 from uncal.events.representations import EventRepresentation, Histogram, VoxelGrid
@@ -62,11 +63,12 @@ class Counting:
 def dataset(events: EventRepresentation | None, cache: bool = False) -> FrameDataset:
     recording = Scripted()
     decalibration = DecalibrationRange(1.0, 10.0)
-    return FrameDataset(recording, recording.frame_ids, (32, 48), decalibration, 0, cache, events)
+    units = units_of(recording.frame_ids, 1)
+    return FrameDataset(recording, units, (32, 48), decalibration, 0, cache, events)
 
 
 def sample(subject: FrameDataset, index: int) -> Sample:
-    made = subject[index]
+    (made,) = subject[index]
     assert isinstance(made, Sample)
     return made
 
@@ -77,7 +79,7 @@ def test_images_and_events_get_the_same_camera_matrix(
     source: tuple[int, int], size: tuple[int, int]
 ) -> None:
     how = fit(source, size)
-    image, K_image = resize_and_crop(np.zeros((*source, 3), np.uint8), K, size)
+    image, K_image = resize_and_crop(np.zeros((*source, 3), np.uint8), K, how, size)
     assert image.shape == (*size, 3)
     np.testing.assert_array_equal(how.camera_matrix(K), K_image)
     # K and the map are one: a point's pixel, mapped, is its pixel under the new camera matrix.
@@ -90,7 +92,8 @@ def test_images_and_events_get_the_same_camera_matrix(
 def test_events_land_where_the_image_has_their_pixels(size: tuple[int, int]) -> None:
     rows, columns = np.mgrid[0:60, 0:104]
     blob = np.exp(-((rows - 33.0) ** 2 + (columns - 61.0) ** 2) / 30.0)
-    image, _ = resize_and_crop(np.repeat((250 * blob)[..., None], 3, 2).astype(np.uint8), K, size)
+    shown = np.repeat((250 * blob)[..., None], 3, 2).astype(np.uint8)
+    image, _ = resize_and_crop(shown, K, fit(SENSOR, size), size)
     many = np.repeat(np.arange(blob.size), (40 * blob).astype(int).ravel())
     events = events_at(columns.ravel()[many], rows.ravel()[many])
     drawn = VoxelGrid(bins=1, normalize=False)(events, size, fit(SENSOR, size).pixel_map)
@@ -131,7 +134,7 @@ def test_counts_beyond_half_precision_stay_finite() -> None:
 
 
 def test_a_frame_without_camera_data_is_skipped_with_its_reason() -> None:
-    skipped = dataset(Histogram(True))[1]
+    (skipped,) = dataset(Histogram(True))[1]
     assert isinstance(skipped, SkippedFrame)
     assert "neither an image nor events" in skipped.reason
 

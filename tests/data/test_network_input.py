@@ -3,6 +3,7 @@ import torch
 
 from uncal.data.dataset import Batch
 from uncal.data.network_input import InputSettings, make_input
+from uncal.edges.sweep import COLUMNS
 from uncal.errors import ConfigurationError
 from uncal.events.representations import EventRepresentation, Histogram, VoxelGrid
 from uncal.recordings.frame import FrameId
@@ -29,9 +30,11 @@ def batch(camera: torch.Tensor) -> Batch:
     T = torch.tensor([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
     return Batch(
         place=torch.arange(n),
+        unit=torch.arange(n),
         frames=[FrameId("rig", "drive", i) for i in range(n)],
         camera=camera,
         points=torch.tensor([[[10.0, 0.0, 0.0, 0.5]]]).repeat(n, 1, 1),
+        edges=torch.empty(n, 0, len(COLUMNS)),
         K=K.repeat(n, 1, 1),
         T_cam_lidar=T.repeat(n, 1, 1),
         decalibration=None,

@@ -23,12 +23,14 @@ from uncal.data.augmentation import Augmentation
 from uncal.data.datamodule import CalibrationDataModule, LoaderSettings
 from uncal.data.network_input import InputSettings
 from uncal.data.split_settings import SplitSettings
+from uncal.data.windows import units_of
 from uncal.decalibration import DecalibrationRange
 from uncal.errors import FrameError
 from uncal.events.representations import Histogram
 from uncal.events.stream import Events
 from uncal.geometry import DOF_NAMES
 from uncal.models.control import ControlPrediction, control_order, image_blind_control
+from uncal.models.estimator import PoseEstimator
 from uncal.models.module import CalibrationModule
 from uncal.recordings.frame import Frame, FrameId
 from uncal.uncertainty import ConformalCalibrator, MCDropout
@@ -88,14 +90,17 @@ class Reader(nn.Module):
 
 def module(network: nn.Module) -> CalibrationModule:
     made = CalibrationModule(
-        network=network,
-        decalibration=RANGE,
+        estimator=PoseEstimator(
+            network,
+            RANGE.bounds,
+            ridge=0.1,
+            displacement_weight=0.5,
+            quantile_levels=(0.05, 0.95),
+        ),
         optimizer=lambda parameters: torch.optim.SGD(parameters, lr=1.0),
         warmup_fraction=0.1,
-        displacement_weight=0.5,
-        ridge=0.1,
-        quantile_levels=(0.05, 0.95),
         engine=lambda network, masks: MCDropout(network, 4, masks=masks),
+        spread="dropout",
         fixed_masks=False,
         calibrator=ConformalCalibrator(DOF_NAMES, 1e-9),
         groups="rig",
@@ -133,8 +138,10 @@ def data(
         augmentation=Augmentation(mirror=1.0, brightness=0.5, contrast=0.5),
         seed=SEED,
     )
-    made.datasets["test"].frame_ids = recording.frame_ids[:n]
+    units = units_of(recording.frame_ids[:n], 1)
+    made.datasets["test"].units = units
     made.splits = {**made.splits, "test": recording.frame_ids[:n]}
+    made.units = {**made.units, "test": units}
     return made
 
 

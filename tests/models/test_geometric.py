@@ -2,14 +2,13 @@ import torch
 from torch import Tensor
 
 from uncal.decalibration import DecalibrationRange, decalibrate
+from uncal.displacement import displacement_jacobian, true_displacement
 from uncal.geometry import invert, pose_to_matrix, transform_points
 from uncal.models.geometric import (
     GeometricSolver,
     GridPoints,
     PointGeometry,
-    displacement_jacobian,
     grid_points,
-    true_displacement,
 )
 from uncal.projection import pixel_coordinates, project
 

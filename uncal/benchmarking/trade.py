@@ -6,6 +6,7 @@ import statistics
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import cast
 
 import lightning
 import torch
@@ -15,6 +16,7 @@ from uncal.benchmarking.placement import placements
 from uncal.checkpoint import load_weights, read_recipe
 from uncal.geometry import DOF_SCALE
 from uncal.metrics.functional import interval_score, mpiw, picp
+from uncal.models.answer import Estimator
 from uncal.models.inference import predict_split
 from uncal.uncertainty.mc_dropout import MCDropout
 from uncal.uncertainty.quantile import miscoverage
@@ -89,12 +91,20 @@ def measure_trade(
     batch = next(iter(data.loader_of("test", most=1)))
     one = data.on_after_batch_transfer(batch.to(device), 0)
     assert one is not None
+    estimator = cast(Estimator, module.estimator)
+    with torch.no_grad():
+        question = estimator.question(one)
     rows = []
-    for where, layers in placements(module.estimator).items():
+    for where, layers in placements(estimator.repeated).items():
         module.engine = MCDropout(
-            module.estimator, run.mcd.passes, run.mcd.chunk, select=layers, masks=module.masks
+            estimator.repeated,
+            run.mcd.passes,
+            run.mcd.chunk,
+            select=layers,
+            masks=module.masks,
+            keep_samples=True,
         )
-        milliseconds, ratio = _time(module.engine, module.estimator, one[:4], rounds)
+        milliseconds, ratio = _time(module.engine, estimator.repeated, question.arguments, rounds)
         split = "uncertainty_calibration"
         module.fit_calibrator(predict_split(trainer, module, data, split), data.named(split))
         test = predict_split(trainer, module, data, "test")

@@ -98,7 +98,9 @@ class CalibrationDataModule(lightning.LightningDataModule):
             raise RecordingError("the recording holds no usable frame: see the skipped ones above")
         self.splits, self.split_note = split.split(recording.frame_ids, self.window.frames)
         self.units = {
-            name: units_of(frames, self.window.frames if name in WINDOWED else 1)
+            name: units_of(
+                frames, self.window.frames if name in WINDOWED else 1, recording.frame_ids
+            )
             for name, frames in self.splits.items()
         }
         self.datasets = {name: self._dataset(name) for name in SPLITS}

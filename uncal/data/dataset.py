@@ -269,7 +269,7 @@ def collate(items: Sequence[Item]) -> Batch:
         none = empty.long()
         return Batch(none, none, [], empty, empty, empty, empty, empty, None, skipped)
     places = torch.tensor([sample.place for sample in samples])
-    place, unit = places.unique_consecutive(return_inverse=True)
+    place, unit = torch.unique_consecutive(places, return_inverse=True)
     first = [samples[i] for i in range(len(samples)) if i == 0 or unit[i] != unit[i - 1]]
     longest = max(len(sample.points) for sample in samples)
     points = torch.full((len(samples), longest, 4), float("nan"))

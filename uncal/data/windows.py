@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 from uncal.data.blocks import blocks
+from uncal.data.splits import by_name
 from uncal.errors import ConfigurationError
 from uncal.recordings.frame import FrameId
 
@@ -36,13 +37,17 @@ class WindowSettings:
             )
 
 
-def units_of(frame_ids: Sequence[FrameId], frames: int) -> list[Unit]:
+def units_of(
+    frame_ids: Sequence[FrameId], frames: int, recorded: Sequence[FrameId] | None = None
+) -> list[Unit]:
     """Cut the frames of a split into units, in order.
 
     Args:
         frame_ids: of the split, sorted by rig, drive and number.
-        frames: of a unit. What remains at the end of a drive is a window of its own; shorter than
-            half a window, it joins the one before.
+        frames: of a unit. What remains at the end of a drive, or before frames that are not of
+            this split, is a window of its own; shorter than half a window, it joins the one
+            before.
+        recorded: all frames of the recording, in any order; None: those of the split.
 
     Returns:
         The units.
@@ -53,4 +58,20 @@ def units_of(frame_ids: Sequence[FrameId], frames: int) -> list[Unit]:
     """
     if frames == 1:
         return [(frame_id,) for frame_id in frame_ids]
-    return [tuple(members) for members in blocks(frame_ids, frames).values()]
+    runs = _runs(frame_ids, frame_ids if recorded is None else recorded)
+    return [tuple(members) for run in runs for members in blocks(run, frames).values()]
+
+
+def _runs(frame_ids: Sequence[FrameId], recorded: Sequence[FrameId]) -> list[list[FrameId]]:
+    """Frames of one drive that follow each other in the recording."""
+    number = {frame_id: i for i, frame_id in enumerate(sorted(recorded, key=by_name))}
+    runs: list[list[FrameId]] = []
+    for frame_id in sorted(frame_ids, key=by_name):
+        last = runs[-1][-1] if runs else None
+        follows = last is not None and number[frame_id] == number[last] + 1
+        same = last is not None and (last.rig, last.drive) == (frame_id.rig, frame_id.drive)
+        if same and follows:
+            runs[-1].append(frame_id)
+        else:
+            runs.append([frame_id])
+    return runs

@@ -24,7 +24,7 @@ def select_edges(edges: NDArray[np.float32], most: int, seed: int) -> NDArray[np
         seed: of the order.
 
     Returns:
-        (min(m, most), columns), shuffled.
+        (min(m, most), columns), or a few fewer since quotas are whole numbers; shuffled.
     """
     kind = edges[:, 3].astype(int)
     counts = np.bincount(kind, minlength=len(KINDS))
@@ -48,7 +48,7 @@ def _quotas(counts: NDArray[np.intp], most: int) -> list[int]:
         share = np.where(free, SHARES, 0.0)
         if share.sum() == 0:
             break
-        offered = np.floor(left * share / share.sum()).astype(int)
+        offered = np.floor(left * (share / share.sum())).astype(int)
         full = free & (counts <= offered)
         allowed = np.where(free, np.minimum(counts, offered), allowed)
         if not full.any():

@@ -169,7 +169,7 @@ def _along(s: _Sweep) -> NDArray[np.float32]:
     lift = s.elevation[near] + side * gap / 2
     found.append(_edges(s, near, far, 3, side, jump[depth], gap, None, lift))
 
-    # Tops against nothing: no return of the three lasers above.
+    # Tops against nothing: no return of the two lasers above.
     free = ~there
     above = np.ones_like(there)
     above[:-1] &= free[1:]

@@ -375,7 +375,7 @@ def surprise(state: State, truth: Tensor) -> Tensor:
         Scalar.
     """
     error = (truth - state.pose)[..., None]
-    factor = torch.linalg.cholesky(state.covariance)
-    squared = torch.cholesky_solve(error, factor).mul(error).sum((1, 2))
+    factor: Tensor = torch.linalg.cholesky(state.covariance)
+    squared = (torch.cholesky_solve(error, factor) * error).sum((1, 2))
     log_det = factor.diagonal(dim1=1, dim2=2).log().sum(1)
     return ((0.5 * squared + log_det) / 6).clamp(max=8.0).mean()

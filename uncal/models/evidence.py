@@ -210,7 +210,7 @@ class EvidenceNetwork(nn.Module):
         """(B, M) 1 without dropout, else 0 or 1/(1-p), alike for all edges of a block."""
         rows, columns = BLOCKS
         ones = projected.seen.new_ones(len(projected.seen), rows * columns)
-        kept = self.evidence_dropout(ones)
+        kept: Tensor = self.evidence_dropout(ones)
         pixels = projected.pixels.detach()
         cell = (pixels / BLOCK_PX).long()
         index = (cell[..., 1] % rows) * columns + cell[..., 0] % columns

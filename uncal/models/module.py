@@ -18,9 +18,10 @@ from uncal.data.network_input import NetworkInput
 from uncal.geometry import DOF_NAMES
 from uncal.models.answer import Estimator
 from uncal.models.losses import relative_error
-from uncal.models.prediction import SplitPrediction, frame_seed, join_predictions
+from uncal.models.prediction import SplitPrediction, frame_seed, join_predictions, pass_names
 from uncal.recordings.frame import FrameId
 from uncal.uncertainty.calibrator import IntervalCalibrator
+from uncal.uncertainty.dropout import only_active
 from uncal.uncertainty.ellipsoid import EllipsoidCalibrator
 from uncal.uncertainty.errors import UncertaintyError
 from uncal.uncertainty.gather import gather_by_id
@@ -105,7 +106,9 @@ class CalibrationModule(lightning.LightningModule):
         Returns:
             The predictions of the n units.
         """
-        question = self._estimator.question(batch)
+        # Whatever mode the module is in: no dropout, and statistics of batches stay as they are.
+        with only_active(self.estimator, []):
+            question = self._estimator.question(batch)
         samples = self._passes(question.arguments, batch, split)
         answer = self._estimator.answer(samples, batch, question)
         return SplitPrediction.of(answer, batch, self.spread)
@@ -115,7 +118,7 @@ class CalibrationModule(lightning.LightningModule):
         seeds = [frame_seed(self.mask_seed, split, frame) for frame in batch.frames]
         if self.memory is None:
             return self._kept(self.engine(*arguments, seed=seeds))
-        names = [str(frame) for frame in batch.frames]
+        names = pass_names(batch)
         known = self.memory.recall(split, names)
         if known is not None and len(known) == self.engine.passes:
             return known.to(batch.x.device)

@@ -95,6 +95,26 @@ def frame_seed(seed: int, split: str, frame: FrameId) -> int:
     return int.from_bytes(digest[:8], "little") >> 1
 
 
+def pass_names(batch: NetworkInput) -> list[str]:
+    """Names under which the passes of a batch's frames are remembered.
+
+    In a window a frame's passes depend on the others, whose evidence the rounds before added up.
+
+    Args:
+        batch: B frames.
+
+    Returns:
+        B names: the frame's own, and in a window those of all its frames behind it.
+    """
+    names = [str(frame) for frame in batch.frames]
+    unit = batch.unit.tolist()
+    windows = {u: [name for name, of in zip(names, unit, strict=True) if of == u] for u in unit}
+    return [
+        name if len(windows[u]) == 1 else f"{name} in {' '.join(windows[u])}"
+        for name, u in zip(names, unit, strict=True)
+    ]
+
+
 def join_predictions(parts: Sequence[SplitPrediction], split: str) -> SplitPrediction:
     """Predictions of a split's batches as one, those of all processes together.
 

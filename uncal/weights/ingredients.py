@@ -62,6 +62,7 @@ def data_ingredients(config: DictConfig, data: CalibrationDataModule) -> dict[st
         "files": digest_of_files(Path(config.dataset.root)),
         "recording": recording,
         "image size": list(data.image_size),
+        "focal length": config.dataset.get("focal_px"),
         "decalibration": _plain(config.decalibration),
     }
 
