@@ -20,6 +20,7 @@ from uncal.decalibration import DecalibrationRange
 from uncal.errors import ConfigurationError, FrameError, RecordingError
 from uncal.geometry import DOF_NAMES
 from uncal.models.alignment import AlignmentEstimator
+from uncal.models.edge_alignment import EdgeAlignment, EdgeAlignmentEstimator
 from uncal.models.estimator import PoseEstimator
 from uncal.models.evidence import EvidenceNetwork
 from uncal.models.module import CalibrationModule
@@ -196,6 +197,8 @@ def _estimator(
         return AlignmentEstimator(
             network, decalibration.bounds, list(model.rounds), instantiate(model.learning)
         )
+    if isinstance(network, EdgeAlignment):
+        return EdgeAlignmentEstimator(network, decalibration.bounds, instantiate(model.search))
     return PoseEstimator(
         network,
         decalibration.bounds,
@@ -217,7 +220,8 @@ def _engine(mcd: DictConfig, network: nn.Module, masks: FixedMasks | None) -> MC
 def _calibrator(config: DictConfig, decalibration: DecalibrationRange) -> IntervalCalibrator:
     make = instantiate(config.interval.calibrator)
     kind = make.func
-    if kind.needs_bounds and "quantile" not in str(config.model.head.get("_target_", "")).lower():
+    head = str((config.model.get("head") or {}).get("_target_", ""))
+    if kind.needs_bounds and "quantile" not in head.lower():
         raise ConfigurationError(
             f"interval: {kind.__name__} widens quantiles that the network gives, and this head "
             "gives none: add model/head=quantile"

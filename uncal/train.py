@@ -16,13 +16,13 @@ from uncal.callbacks.report import Report
 from uncal.checkpoint import load_weights, read_recipe, save_weights
 from uncal.configuration import CONFIG_DIR, exits_on_error, job_folder, quiet_libraries
 from uncal.data.datamodule import CalibrationDataModule
-from uncal.errors import UncalError
+from uncal.errors import ConfigurationError, UncalError
 from uncal.memory import keep_freed_memory
 from uncal.models.module import CalibrationModule
 from uncal.runs import finished_earlier, keep_results, make_record, remember_passes
 from uncal.weights.ingredients import data_ingredients, training_ingredients
 from uncal.weights.obtain import Weights, obtain
-from uncal.weights.store import WeightStore
+from uncal.weights.store import CHECKPOINT, WeightStore
 
 log = logging.getLogger(__name__)
 
@@ -54,7 +54,9 @@ def main(config: DictConfig) -> float:
         return earlier
     record.begin()
 
-    if config.ckpt is not None or config.store is None:
+    if not module.learns:
+        weights = untrained(config.ckpt)
+    elif config.ckpt is not None or config.store is None:
         last = last_checkpoint(trainer)
         path = fit(trainer, module, data, config.ckpt, f"ckpt={last} and the same settings")
         weights = Weights(path, "", reused=False, trained=None)
@@ -67,17 +69,38 @@ def main(config: DictConfig) -> float:
             last=last_checkpoint(trainer),
             retrain=config.retrain,
         )
-    load_weights(module, weights.path, calibrated=read_recipe(weights.path) == module.recipe)
+    if weights.learnt:
+        load_weights(module, weights.path, calibrated=read_recipe(weights.path) == module.recipe)
     module.provenance.append(weights.sentence())
     remember_passes(config, module, trainer, shared)
 
     trainer.test(module, datamodule=data, verbose=False)
     if trainer.is_global_zero:
         own = job_folder() / "checkpoints" / weights.path.name
-        if not own.is_file() or not own.samefile(weights.path):
+        if not weights.learnt or not own.is_file() or not own.samefile(weights.path):
             save_weights(module, own)
         keep_results(record, trainer, module, weights)
     return Report.of(trainer).results.summary.mean_ratio
+
+
+def untrained(start: str | None) -> Weights:
+    """What stands for the weights of a model without parameters.
+
+    Its checkpoint is written after the test, with the calibrator, for :mod:`uncal.evaluate`.
+
+    Args:
+        start: a checkpoint to go on from, which makes no sense here.
+
+    Raises:
+        ConfigurationError: there is one.
+    """
+    if start is not None:
+        raise ConfigurationError(
+            f"ckpt={start}: this model has no parameters, so that no training can go on; "
+            "python -m uncal.evaluate tests a checkpoint"
+        )
+    path = job_folder() / "checkpoints" / CHECKPOINT
+    return Weights(path, "", reused=False, trained=None, learnt=False)
 
 
 def fit(

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 from torch import Tensor
 from torch.nn import functional as F
 
 IMAGE_EDGES: tuple[str, ...] = ("mean", "channels")
-"""What the edges are gradients of: the channels' mean (an image), or each channel's own (events)."""
+"""What the edges are gradients of: the channels' mean (an image), or each channel (events)."""
 
 STRONGEST = 3.0
 """An edge counts at most this many times what is usual around it."""
 
 _FAINT = 0.09
-"""Added to what is usual, in units of the normalised input, lest noise in a plain area be an edge."""
+"""Added to what is usual, in units of the normalised input, lest noise in a plain area count."""
 
 
 def edge_maps(camera: Tensor, window: int, image_edges: str = "mean") -> Tensor:
@@ -61,3 +63,46 @@ def box_mean(x: Tensor, half: int) -> Tensor:
     x = F.pad(x, (half, half, half, half), mode="replicate")
     # One direction after the other: a square window costs its area, two lines their lengths.
     return F.avg_pool2d(F.avg_pool2d(x, (1, side), 1), (side, 1), 1)
+
+
+def gaussian_kernels(sigma: Tensor) -> Tensor:
+    """Normalised Gaussians, each cut off at its own three σ, whatever its neighbours are.
+
+    Args:
+        sigma: (B,) pixels.
+
+    Returns:
+        (B, R), R odd.
+
+    >>> gaussian_kernels(torch.tensor([0.1, 1.0])).shape
+    torch.Size([2, 7])
+    """
+    reach = math.ceil(3.0 * float(sigma.max()))
+    offsets = torch.arange(-reach, reach + 1, device=sigma.device, dtype=sigma.dtype)
+    kernels = torch.exp(-0.5 * (offsets / sigma[:, None]).square())
+    kernels = kernels * (offsets.abs() <= (3.0 * sigma).ceil()[:, None])
+    return kernels / kernels.sum(1, keepdim=True)
+
+
+def blurred(maps: Tensor, sigma: Tensor) -> Tensor:
+    """Gaussian blur, of another width for each image; the border repeats.
+
+    Args:
+        maps: (B, C, H, W).
+        sigma: (B,) pixels.
+
+    Returns:
+        The same shape.
+
+    >>> bool((blurred(torch.ones(1, 2, 8, 8), torch.tensor([1.0])) - 1).abs().max() < 1e-5)
+    True
+    """
+    batch, channels, height, width = maps.shape
+    kernels = gaussian_kernels(sigma).repeat_interleave(channels, 0)
+    reach = kernels.shape[1] // 2
+    x = maps.reshape(1, batch * channels, height, width)
+    x = F.pad(x, (reach, reach, 0, 0), mode="replicate")
+    x = F.conv2d(x, kernels[:, None, None, :], groups=len(kernels))
+    x = F.pad(x, (0, 0, reach, reach), mode="replicate")
+    x = F.conv2d(x, kernels[:, None, :, None], groups=len(kernels))
+    return x.view_as(maps)
