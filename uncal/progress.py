@@ -69,7 +69,13 @@ def _delay(kind: type[tqdm[Any]]) -> float:
     return LOG_INTERVAL if kind is LogLines else 0.0
 
 
-class LogLines(tqdm[Any]):
+if TYPE_CHECKING:
+    _Bar = tqdm[Any]
+else:
+    _Bar = tqdm
+
+
+class LogLines(_Bar):
     """Lines in place of a bar that rewrites itself, for nohup, CI and batch systems."""
 
     def __init__(self, *args: object, **kwargs: object) -> None:
