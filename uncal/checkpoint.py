@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import torch
@@ -11,6 +10,7 @@ from torch import Tensor
 
 from uncal.errors import ConfigurationError
 from uncal.models.module import CalibrationModule
+from uncal.reporting.layout import replaced_whole
 from uncal.weights.shipped import load_checkpoint, load_shipped
 
 OWN: tuple[str, ...] = ("calibrator.", "ellipsoid.", "masks.")
@@ -88,9 +88,8 @@ def save_weights(module: CalibrationModule, path: Path) -> None:
         path: the checkpoint; its folder is made if it is not there.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f".{path.name}.{os.getpid()}")
-    torch.save({"state_dict": module.state_dict(), "uncal_recipe": module.recipe}, partial)
-    partial.replace(path)
+    with replaced_whole(path) as partial:
+        torch.save({"state_dict": module.state_dict(), "uncal_recipe": module.recipe}, partial)
 
 
 def read_recipe(path: Path) -> DictConfig:

@@ -14,6 +14,7 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.errors import CompactHydraException, InstantiationException
 from hydra.types import RunMode
 
+from uncal.disk import disk_trouble
 from uncal.errors import ConfigurationError, UncalError
 from uncal.settings import sweep_source
 from uncal.settings.guard import explain
@@ -83,6 +84,11 @@ def exits_on_error(main: Callable[P, R]) -> Callable[P, R]:
             raise _ending(explain(error)) from error
         except KeyboardInterrupt:
             raise SystemExit(INTERRUPTED) from None
+        except Exception as error:
+            trouble = disk_trouble(error)
+            if trouble is None or os.environ.get(FULL_ERROR) == "1":
+                raise
+            raise _ending(UncalError(trouble)) from error
 
     return wrapped
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import cast
 
@@ -55,16 +56,14 @@ def hydra_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     HydraConfig.instance().cfg = None
 
 
-def composed(overrides: tuple[str, ...]) -> tuple[DictConfig, DictConfig]:
+@cache
+def composed(base: int) -> tuple[DictConfig, DictConfig]:
     with initialize_config_dir(CONFIG_DIR, version_base="1.3"):
-        config = compose("train", list(overrides), return_hydra_config=True)
+        config = compose("train", list(CHOICES[base]), return_hydra_config=True)
     choices = {str(k): v for k, v in config.hydra.runtime.choices.items() if isinstance(v, str)}
     with open_dict(config):
         config.pop("hydra")
     return config, shipped_config("train", choices)
-
-
-BASES = [composed(overrides) for overrides in CHOICES]
 
 
 def keys_of(node: object, path: str = "") -> Iterator[str]:
@@ -76,11 +75,17 @@ def keys_of(node: object, path: str = "") -> Iterator[str]:
             yield from keys_of(value, here)
 
 
-KEYS = [
-    (base, key)
-    for base, (config, _) in enumerate(BASES)
-    for key in keys_of(OmegaConf.to_container(config))
-]
+@cache
+def places() -> list[tuple[int, str]]:
+    """Every key of every choice; composed when the test runs, not when it is collected."""
+    return [
+        (base, key)
+        for base in range(len(CHOICES))
+        for key in keys_of(OmegaConf.to_container(composed(base)[0]))
+    ]
+
+
+PLACE = st.integers(0, 2**32).map(lambda number: places()[number % len(places())])
 
 
 def begin(config: DictConfig, shipped: DictConfig) -> None:
@@ -114,10 +119,10 @@ def refusal(config: DictConfig, shipped: DictConfig) -> str | None:
     max_examples=600, deadline=None, derandomize=True, database=None,
     suppress_health_check=list(HealthCheck),
 )  # fmt: skip
-@given(st.sampled_from(KEYS), st.sampled_from(VALUES))
+@given(PLACE, st.sampled_from(VALUES))
 def test_any_value_of_any_key(place: tuple[int, str], value: object) -> None:
     base, key = place
-    config, shipped = BASES[base]
+    config, shipped = composed(base)
     config = config.copy()
     with open_dict(config):
         OmegaConf.update(config, key, value, merge=False)
@@ -126,14 +131,14 @@ def test_any_value_of_any_key(place: tuple[int, str], value: object) -> None:
 
 
 @settings(max_examples=100, deadline=None, derandomize=True, database=None)
-@given(st.sampled_from(KEYS), st.sampled_from("xzq"), st.integers(0, 40))
+@given(PLACE, st.sampled_from("xzq"), st.integers(0, 40))
 def test_any_misspelt_key_is_named(place: tuple[int, str], letter: str, where: int) -> None:
     base, key = place
     group, _, name = key.rpartition(".")
     wrong = name[: where % len(name)] + letter + name[where % len(name) :]
     if name.startswith("_"):
         return
-    config, shipped = BASES[base]
+    config, shipped = composed(base)
     config = config.copy()
     with open_dict(config):
         OmegaConf.update(config, f"{group}.{wrong}" if group else wrong, 1, force_add=True)

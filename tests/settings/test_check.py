@@ -2,33 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from hydra import compose, initialize_config_dir
-from omegaconf import DictConfig, OmegaConf, open_dict
+from omegaconf import DictConfig, OmegaConf
 
 from uncal.configuration import CONFIG_DIR
 from uncal.errors import ConfigurationError
 from uncal.settings.bounds import BOUNDS
 from uncal.settings.check import refuse_values
-from uncal.settings.shipped import shipped_config
+
+Configured = Callable[..., tuple[DictConfig, DictConfig]]
 
 
-def composed(name: str, *overrides: str) -> tuple[DictConfig, DictConfig]:
-    """A configuration as asked for, and as shipped with the same choices."""
-    with initialize_config_dir(CONFIG_DIR, version_base="1.3"):
-        config = compose(name, list(overrides), return_hydra_config=True)
-    choices = {str(k): v for k, v in config.hydra.runtime.choices.items() if isinstance(v, str)}
-    with open_dict(config):
-        config.pop("hydra")
-    return config, shipped_config(name, choices)
-
-
-def faults(name: str, *overrides: str) -> dict[str, str]:
+def faults(config: DictConfig, shipped: DictConfig) -> dict[str, str]:
     """Key=value → the rest of the sentence."""
     with pytest.raises(ConfigurationError) as refused:
-        refuse_values(*composed(name, *overrides))
+        refuse_values(config, shipped)
     lines = str(refused.value).splitlines()
     return dict(line.split(": ", 1) for line in lines)
 
@@ -68,7 +59,7 @@ WRONG = {
     "model.optimization.optimizer.lr=0": "a number above 0 and up to 1e+09",
     "model.inputs=5": "a group of keys",
     "trainer.max_epochs=abc": "a whole number from 1 to 1000000",
-    "trainer.gradient_clip_val=nan": "a number from 0 to 1000000000 or null",
+    "trainer.gradient_clip_val=.nan": "a number from 0 to 1000000000 or null",
     "trainer.enable_model_summary=5": "true or false",
     "callbacks.overlays.frames=-1": "a whole number from 0 to 10000; the default is 3",
     "callbacks.interval_overlays.dof=Nod": "X or Y or Z or Roll or Pitch or Yaw",
@@ -79,66 +70,67 @@ WRONG = {
 """What a user may type, and what the message expects instead."""
 
 
-def test_all_faults_are_named_at_once_with_value_and_what_was_expected() -> None:
-    found = faults("train", *WRONG)
+def test_all_faults_are_named_at_once_with_value_and_what_was_expected(
+    configured: Configured,
+) -> None:
+    found = faults(*configured("train", *WRONG))
     for override, expected in WRONG.items():
         key, value = override.split("=", 1)
         # As YAML shows it.
-        shown = {"''": '""'}.get(value, value.replace(",", ", "))
+        shown = {"''": '""', ".nan": "nan"}.get(value, value.replace(",", ", "))
         assert found[f"{key}={shown}"].startswith(f"expected {expected}"), override
     assert len(found) == len(WRONG)
 
 
 @pytest.mark.parametrize(
-    ("overrides", "said"),
+    ("words", "said"),
     [
         (["interval.levels=[1.0]"], r"interval\.levels=\[1\.0\]: expected a list .* below 1"),
         (["interval.levels=[0.9,0.9]"], "all different"),
         (["interval.levels=0.9"], "expected a list"),
-        (["model.optimization.optimizer.lr=inf"], r"lr=inf: expected"),
+        (["model.optimization.optimizer.lr=.inf"], r"lr=inf: expected"),
         (["callbacks.report=null"], "callbacks.report=null: the run has no result without it"),
         (["callbacks.checkpoint=null"], "nothing would be kept"),
         (["callbacks=null"], "callbacks=null: expected a group"),
         (["split.fractions=[0.7,0.2,0.1,0.0]"], "each need a share above 0"),
         (["split=null"], "split=null: expected a group"),
         (["mcd.passes=null"], "mcd.passes=null: expected a whole number"),
-        (["+trainer.limit_train_batches=abc"], r"limit_train_batches=abc: lightning\.\w+ expects"),
         (["mcd.passes=${nowhere}"], "mcd.passes: Interpolation key 'nowhere' not found"),
-        (["dataset=dsec", "dataset.window_ms=0"], "dataset.window_ms=0: expected a number from"),
         (["dataset.recording.camera=5"], "KittiRaw expects str"),
         (["mcd.insert={after: Linear, p: 2}"], r"insert.p=2: expected a number above 0"),
         (["model.network.widths=[a]"], "widths.*: expected a list"),
     ],
 )
-def test_refusals(overrides: list[str], said: str) -> None:
+def test_refusals(configured: Configured, words: list[str], said: str) -> None:
     with pytest.raises(ConfigurationError, match=said):
-        refuse_values(*composed("train", *overrides))
+        refuse_values(*configured("train", *words))
 
 
 @pytest.mark.parametrize(
-    "overrides",
+    ("choices", "words"),
     [
-        ["callbacks.overlays=null", "logger=null", "store=null", "trainer.gradient_clip_val=null"],
-        ["trainer.devices=auto", "trainer.precision=16", "trainer.devices=[0]"],
-        ["split.test=unseen", "split.unseen_rigs=0.2", "split.fractions=[0.7,0.15,0.15,0.0]"],
-        ["mcd.insert={after: [Linear], p: 0.1}", "mcd.chunk=null", "mcd.layers=[head]"],
-        ["dataset=dsec", "dataset.sequences=[zurich_city_0*]", "interval=hierarchical"],
-        ["dataset=kitti", "dataset.drives=2011_09_26/0001", "dataset.image_size=null"],
-        ["+trainer.limit_train_batches=0.5", "+model.optimization.optimizer.amsgrad=true"],
-        ["mcd.passes=${window.frames}", "trainer.max_epochs=3"],
+        ([], ["callbacks.overlays=null", "logger=null", "store=null"]),
+        ([], ["trainer.gradient_clip_val=null", "trainer.devices=auto", "trainer.precision=16"]),
+        ([], ["split.test=unseen", "split.fractions=[0.7,0.15,0.15,0.0]", "trainer.devices=[0]"]),
+        ([], ["mcd.insert={after: [Linear], p: 0.1}", "mcd.chunk=null", "mcd.layers=[head]"]),
+        ([], ["mcd.passes=${window.frames}", "trainer.max_epochs=3", "dataset.image_size=null"]),
+        ([], ["trainer.limit_train_batches=0.5", "dataset.drives=2011_09_26/0001"]),
+        (["dataset=demo_events", "interval=hierarchical"], ["dataset.sequences=[zurich_city_0*]"]),
+        (["model=edges"], []),
     ],
 )
-def test_what_is_right_passes(overrides: list[str]) -> None:
-    refuse_values(*composed("train", *overrides))
+def test_what_is_right_passes(configured: Configured, choices: list[str], words: list[str]) -> None:
+    refuse_values(*configured("train", *words, choices=choices))
 
 
-def test_other_entry_points() -> None:
-    refuse_values(*composed("evaluate", "weights=unical", "mcd.passes=50"))
-    refuse_values(*composed("benchmark", "cases=null", "ckpt=best.ckpt"))
-    refuse_values(*composed("benchmark", "cases.s=null"))
-    found = faults("benchmark", "device=tpu", "passes=0", "compile=5", "rounds=no")
-    assert set(found) == {"device=tpu", "passes=0", "compile=5", "rounds=no"}
-    assert set(faults("simulate", "workers=0", "progress=5")) == {"workers=0", "progress=5"}
+def test_other_entry_points(configured: Configured) -> None:
+    refuse_values(*configured("evaluate", "weights=unical", "mcd.passes=50"))
+    refuse_values(*configured("benchmark", "cases=null", "ckpt=best.ckpt"))
+    refuse_values(*configured("benchmark", "cases.s=null"))
+    found = faults(*configured("benchmark", "device=tpu", "passes=0", "compile=5", "rounds=abc"))
+    assert set(found) == {"device=tpu", "passes=0", "compile=5", "rounds=abc"}
+    found = faults(*configured("simulate", "workers=0", "progress=5"))
+    assert set(found) == {"workers=0", "progress=5"}
 
 
 def test_without_the_shipped_configuration_the_bounds_still_count() -> None:

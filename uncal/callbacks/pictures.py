@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -45,7 +47,9 @@ def background(data: CalibrationDataModule, sample: Sample) -> NDArray[np.uint8]
 def keep_picture(trainer: Trainer, picture: NDArray[np.uint8], path: Path, tag: str) -> None:
     """Write a PNG and show it in TensorBoard."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    cv2.imwrite(str(path), picture[:, :, ::-1])
+    if not cv2.imwrite(str(path), picture[:, :, ::-1]):
+        # All that OpenCV says; the folder is there.
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
     show_picture(trainer, picture, tag)
 
 

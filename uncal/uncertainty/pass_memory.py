@@ -81,8 +81,11 @@ class PassMemory:
                 if len(samples) > len(mine.get(frame, ())):
                     mine[frame] = samples
             partial = self._path(split).with_suffix(f".{os.getpid()}.partial")
-            torch.save(mine, partial)
-            partial.replace(self._path(split))
+            try:
+                torch.save(mine, partial)
+                partial.replace(self._path(split))
+            finally:
+                partial.unlink(missing_ok=True)
         self._new.clear()
 
     def origin(self, split: str) -> str:

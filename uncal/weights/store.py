@@ -5,14 +5,13 @@ from __future__ import annotations
 import contextlib
 import json
 import logging
-import os
 import shutil
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from uncal.locking import locked
-from uncal.reporting.layout import write_whole
+from uncal.reporting.layout import replaced_whole, write_whole
 from uncal.weights.digest import digest_of
 
 log = logging.getLogger(__name__)
@@ -107,9 +106,8 @@ class WeightStore:
             checkpoint: the best one.
             trained: how they came about.
         """
-        partial = self.folder / f".{CHECKPOINT}.{os.getpid()}"
-        shutil.copyfile(checkpoint, partial)
-        partial.replace(self.checkpoint)
+        with replaced_whole(self.checkpoint) as partial:
+            shutil.copyfile(checkpoint, partial)
         write_whole(self.folder / RECORD, f"{json.dumps(asdict(trained), indent=1)}\n")
         (self.folder / UNFINISHED).unlink(missing_ok=True)
 

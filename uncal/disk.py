@@ -1,0 +1,46 @@
+"""A disk that takes no more, said in a sentence."""
+
+from __future__ import annotations
+
+import errno
+from collections.abc import Iterator
+
+_FULL = (errno.ENOSPC, errno.EDQUOT)
+_SAID = ("No space left on device", "PytorchStreamWriter failed", "Disk quota exceeded")
+"""What libraries that do not pass the number on say of a full disk."""
+
+
+def disk_trouble(error: BaseException) -> str | None:
+    """What a user can do about an error of writing; None for any other error.
+
+    Args:
+        error: as raised; what caused it is looked at too.
+
+    >>> disk_trouble(OSError(errno.ENOSPC, "No space left on device", "out/results.csv"))
+    'out/results.csv: no space left on the disk. Free some, or write elsewhere (hydra.run.dir=…, \
+store=…, dataset.root=…); finished files are as they were, and the same command goes on.'
+    >>> disk_trouble(ValueError("x"))
+    """
+    for cause in _chain(error):
+        full = isinstance(cause, OSError) and cause.errno in _FULL
+        if full or any(words in str(cause) for words in _SAID):
+            where = f"{cause.filename}: " if isinstance(cause, OSError) and cause.filename else ""
+            return (
+                f"{where}no space left on the disk. Free some, or write elsewhere "
+                "(hydra.run.dir=…, store=…, dataset.root=…); finished files are as they were, and "
+                "the same command goes on."
+            )
+        if isinstance(cause, OSError) and cause.errno == errno.EROFS:
+            return (
+                f"{cause.filename}: the disk can only be read. Write elsewhere (hydra.run.dir=…, "
+                "store=…, dataset.root=…)."
+            )
+    return None
+
+
+def _chain(error: BaseException | None) -> Iterator[BaseException]:
+    seen: set[int] = set()
+    while error is not None and id(error) not in seen:
+        seen.add(id(error))
+        yield error
+        error = error.__cause__ or error.__context__
