@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 from hydra.errors import InstantiationException
 from hydra.utils import instantiate
+from omegaconf import OmegaConf
 
 from uncal.configuration import CONFIG_DIR, INTERRUPTED, exits_on_error, find_config_dir
 from uncal.errors import ConfigurationError, RecordingError
@@ -55,8 +56,31 @@ def test_what_a_constructor_says_is_not_wrapped() -> None:
         main("uncal.recordings.kitti.KittiRaw")
     assert str(ended.value.code).startswith("The recordings folder no/such/folder does not exist")
     assert "\n  no/such/folder/" in str(ended.value.code)
-    with pytest.raises(InstantiationException, match="TypeError"):
-        main("os.scandir")
+
+
+def test_what_a_library_says_of_a_setting_becomes_a_sentence(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    @exits_on_error
+    def main() -> None:
+        config = OmegaConf.create({"head": {"_target_": "torch.nn.Dropout", "p": 1.5}})
+        instantiate(config.head)
+
+    with pytest.raises(SystemExit, match=r"^head \(torch.nn.*Dropout\): dropout probability .*1.5"):
+        main()
+    monkeypatch.setenv("HYDRA_FULL_ERROR", "1")
+    with pytest.raises(InstantiationException):
+        main()
+
+
+def test_the_whole_traceback_can_be_had(monkeypatch: pytest.MonkeyPatch) -> None:
+    @exits_on_error
+    def main() -> None:
+        raise RecordingError("no frames in data")
+
+    monkeypatch.setenv("HYDRA_FULL_ERROR", "1")
+    with pytest.raises(RecordingError):
+        main()
 
 
 def test_other_errors_keep_their_traceback_and_results_pass() -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import cast
 
 import lightning
+import torch
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from torch import nn
@@ -25,11 +26,12 @@ from uncal.models.evidence import EvidenceNetwork
 from uncal.models.module import CalibrationModule
 from uncal.models.prediction import SPREADS
 from uncal.recordings.frame import Recording
+from uncal.settings.guard import names_the_setting
 from uncal.simulation.cache import ensure_simulated
 from uncal.simulation.manifest import MANIFEST_NAME
 from uncal.simulation.settings import SimulationSettings
 from uncal.uncertainty.calibrator import IntervalCalibrator
-from uncal.uncertainty.dropout import insert_dropout
+from uncal.uncertainty.dropout import dropout_rates, insert_dropout
 from uncal.uncertainty.masks import FixedMasks
 from uncal.uncertainty.mc_dropout import MCDropout
 from uncal.uncertainty.single_pass import SinglePass
@@ -65,6 +67,10 @@ def build_data(config: DictConfig) -> CalibrationDataModule:
     dataset = config.dataset
     inputs: InputSettings = instantiate(config.model.inputs)
     check_pairing(config, inputs)
+    # Made before the recordings are, so that what they refuse costs nothing.
+    decalibration, split = instantiate(config.decalibration), instantiate(config.split)
+    loader, augmentation = instantiate(dataset.loader), instantiate(config.augmentation)
+    window = instantiate(config.window)
     if "simulation" in dataset:
         plain = OmegaConf.to_container(dataset.simulation, resolve=True)
         settings = SimulationSettings.from_mapping(cast(Mapping[str, object], plain))
@@ -78,22 +84,22 @@ def build_data(config: DictConfig) -> CalibrationDataModule:
         image_size=image_size(dataset.image_size)
         if dataset.image_size is not None
         else recorded_size(recording, focal_px),
-        decalibration=instantiate(config.decalibration),
-        split=instantiate(config.split),
-        loader=instantiate(dataset.loader),
+        decalibration=decalibration,
+        split=split,
+        loader=loader,
         inputs=inputs,
-        augmentation=instantiate(config.augmentation),
+        augmentation=augmentation,
         seed=config.seed,
-        window=instantiate(config.window),
+        window=window,
         focal_px=focal_px,
     )
 
 
 def recorded_size(recording: Recording, focal_px: float | None) -> tuple[int, int]:
-    """The size of a recording's images, in multiples of 8 pixels.
+    """The size that the images of all rigs cover, in multiples of 8 pixels.
 
     Args:
-        recording: of which the first readable frame is looked at.
+        recording: of which one readable frame per rig is looked at.
         focal_px: focal length that they are brought to, pixels; None: their own.
 
     Returns:
@@ -102,7 +108,10 @@ def recorded_size(recording: Recording, focal_px: float | None) -> tuple[int, in
     Raises:
         RecordingError: no frame can be read.
     """
+    rigs: dict[str, tuple[int, int]] = {}
     for frame_id in recording.frame_ids:
+        if frame_id.rig in rigs:
+            continue
         try:
             frame = recording.load(frame_id)
         except FrameError:
@@ -113,7 +122,10 @@ def recorded_size(recording: Recording, focal_px: float | None) -> tuple[int, in
             assert frame.events is not None
             source = frame.events.size
         focal = float(frame.K[0, 0])
-        return size_at_focal(source, focal, focal if focal_px is None else focal_px)
+        rigs[frame_id.rig] = size_at_focal(source, focal, focal_px or focal)
+    if rigs:
+        heights, widths = zip(*rigs.values(), strict=True)
+        return min(heights), min(widths)
     raise RecordingError("no frame of the recording can be read: see the skipped ones above")
 
 
@@ -149,6 +161,7 @@ def check_pairing(config: DictConfig, inputs: InputSettings) -> None:
     )
 
 
+@names_the_setting("model", "mcd", "interval")
 def build_module(config: DictConfig) -> CalibrationModule:
     """Make the network and the LightningModule around it, untrained.
 
@@ -183,11 +196,24 @@ def build_module(config: DictConfig) -> CalibrationModule:
         groups=choice("interval.groups", config.interval.groups, ("rig", "drive")),
         mask_seed=config.mcd.seed,
     )
+    _try_out(module, config)
     module.recipe = cast(
         "dict[str, object]",
         {key: _plain(config[key]) for key in RECIPE},
     )
     return module
+
+
+def _try_out(module: CalibrationModule, config: DictConfig) -> None:
+    """Ask now what the first step and the first pass would ask after hours."""
+    module.make_optimizer([nn.Parameter(torch.zeros(1))])
+    rates = dropout_rates(module.estimator, module.engine.select)
+    if config.mcd.passes > 1 and not any(rates.values()):
+        raise ConfigurationError(
+            f"mcd.passes={config.mcd.passes}, but no dropout layer has a rate above 0, so that all "
+            "passes are the same: raise model.head_dropout or model.backbone_dropout, put some in "
+            "with mcd.insert, or ask once (mcd.passes=1 with interval=absolute)"
+        )
 
 
 def _estimator(
@@ -250,6 +276,7 @@ def _calibrator(config: DictConfig, decalibration: DecalibrationRange) -> Interv
     return cast(IntervalCalibrator, make(names=DOF_NAMES, **scales))
 
 
+@names_the_setting("trainer", "callbacks", "logger")
 def build_trainer(config: DictConfig) -> lightning.Trainer:
     """Make the trainer with the configured callbacks and loggers.
 
@@ -263,10 +290,15 @@ def build_trainer(config: DictConfig) -> lightning.Trainer:
     """
     epochs = config.trainer.max_epochs
     every = validation_interval(epochs, config.dataset.validations)
+    callbacks = [callback for callback in config.callbacks.values() if callback]
+    if not config.logger:
+        # Lightning would refuse it at the first step: it has nothing to log to.
+        callbacks = [c for c in callbacks if not c._target_.endswith(".LearningRateMonitor")]
     trainer: lightning.Trainer = instantiate(
         config.trainer,
-        callbacks=[instantiate(callback) for callback in config.callbacks.values() if callback],
-        logger=instantiate(config.logger),
+        callbacks=[instantiate(callback) for callback in callbacks],
+        # Of None Lightning makes a logger of its own.
+        logger=instantiate(config.logger) if config.logger else False,
         check_val_every_n_epoch=every,
     )
     return trainer

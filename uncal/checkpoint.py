@@ -1,36 +1,83 @@
-"""What another process needs of a checkpoint: its settings and its weights."""
+"""What another process needs of trained weights: their settings and their state."""
 
 from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import cast
 
 import torch
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
+from torch import Tensor
 
 from uncal.errors import ConfigurationError
 from uncal.models.module import CalibrationModule
+from uncal.weights.shipped import load_checkpoint, load_shipped
+
+OWN: tuple[str, ...] = ("calibrator.", "ellipsoid.", "masks.")
+"""Parts of the state that belong to the calibration, not to the weights."""
 
 
 def load_weights(module: CalibrationModule, path: Path, calibrated: bool) -> None:
-    """Load a checkpoint's weights.
+    """Load weights.
 
     Args:
         module: of the same network.
-        path: the checkpoint.
-        calibrated: whether its calibrator is of the module's kind, and wanted.
+        path: a checkpoint, or shipped weights.
+        calibrated: whether their calibrator is of the module's kind, and wanted.
+
+    Raises:
+        ConfigurationError: the weights are another network's.
     """
-    state = torch.load(path, map_location="cpu", weights_only=True)["state_dict"]
-    own = [key for key in state if key.startswith(("calibrator.", "masks."))]
+    state, _ = _read(path)
+    own = [key for key in state if key.startswith(OWN)]
     if not calibrated:
         state = {key: value for key, value in state.items() if key not in own}
     elif module.masks is None:
         state.pop("masks.seed", None)
-    missing, unknown = module.load_state_dict(state, strict=False)
-    wrong = [key for key in (*missing, *unknown) if not key.startswith(("calibrator.", "masks."))]
-    if wrong:
-        raise ConfigurationError(f"ckpt={path}: {', '.join(wrong[:3])}: not of this network")
+    _load(module, state, path)
+
+
+def check_start(module: CalibrationModule, path: Path) -> None:
+    """Refuse a checkpoint that a training of this network cannot go on from.
+
+    Args:
+        module: of the training.
+        path: what ``ckpt=`` names.
+
+    Raises:
+        ConfigurationError: no such file, not a checkpoint of this project, another network's, or
+            weights without the state of their training.
+    """
+    state, _ = load_checkpoint(path)
+    _check_shapes(module, state, path)
+    missing = [key for key in module.state_dict() if key not in state and not key.startswith(OWN)]
+    unknown = [key for key in state if key not in module.state_dict() and not key.startswith(OWN)]
+    if missing or unknown:
+        raise ConfigurationError(
+            f"ckpt={path}: {', '.join((*missing, *unknown)[:3])}: not of this network; give the "
+            "settings under model= that it was trained with"
+        )
+    content = torch.load(path, map_location="cpu", weights_only=True)
+    if "optimizer_states" not in content:
+        raise ConfigurationError(
+            f"ckpt={path}: holds weights, but not the state of their training, which ckpt= goes on "
+            f"with; give a run's last.ckpt, or start a training from the weights: "
+            f"model.weights={path}"
+        )
+
+
+def start_from(module: CalibrationModule, path: Path) -> None:
+    """Begin a training with weights instead of random numbers.
+
+    Args:
+        module: of the same network, not trained yet.
+        path: a checkpoint, or shipped weights.
+
+    Raises:
+        ConfigurationError: the weights are another network's.
+    """
+    state, _ = _read(path)
+    _load(module, {k: v for k, v in state.items() if not k.startswith(OWN)}, path)
 
 
 def save_weights(module: CalibrationModule, path: Path) -> None:
@@ -47,26 +94,38 @@ def save_weights(module: CalibrationModule, path: Path) -> None:
 
 
 def read_recipe(path: Path) -> DictConfig:
-    """The settings inside a checkpoint.
+    """The settings that weights were trained with.
 
     Args:
-        path: a checkpoint that ``uncal.train`` wrote.
+        path: a checkpoint, or shipped weights.
 
     Returns:
         The parts of the configuration named by :data:`uncal.assembly.RECIPE`.
 
     Raises:
-        ConfigurationError: no such file, or not a checkpoint of this project.
+        ConfigurationError: no such file, or not of this project.
     """
-    if not path.is_file():
-        raise ConfigurationError(
-            f"ckpt={path}: no such file; runs keep theirs under outputs/*/*/checkpoints/best.ckpt"
-        )
-    try:
-        content = torch.load(path, map_location="cpu", weights_only=True)
-        recipe = content["uncal_recipe"]
-    except Exception as error:
-        raise ConfigurationError(
-            f"ckpt={path}: not a checkpoint that uncal.train wrote ({error})"
-        ) from error
-    return cast(DictConfig, OmegaConf.create(recipe))
+    return _read(path)[1]
+
+
+def _read(path: Path) -> tuple[dict[str, Tensor], DictConfig]:
+    return load_shipped(path) if path.suffix == ".safetensors" else load_checkpoint(path)
+
+
+def _check_shapes(module: CalibrationModule, state: dict[str, Tensor], path: Path) -> None:
+    shapes = {key: value.shape for key, value in module.state_dict().items()}
+    other = [
+        key
+        for key, value in state.items()
+        if not key.startswith(OWN) and key in shapes and shapes[key] != value.shape
+    ]
+    if other:
+        raise ConfigurationError(f"{path}: {', '.join(other[:3])}: of another size of network")
+
+
+def _load(module: CalibrationModule, state: dict[str, Tensor], path: Path) -> None:
+    _check_shapes(module, state, path)
+    missing, unknown = module.load_state_dict(state, strict=False)
+    wrong = [key for key in (*missing, *unknown) if not key.startswith(OWN)]
+    if wrong:
+        raise ConfigurationError(f"{path}: {', '.join(wrong[:3])}: not of this network")

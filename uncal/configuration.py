@@ -15,9 +15,14 @@ from hydra.errors import CompactHydraException, InstantiationException
 from hydra.types import RunMode
 
 from uncal.errors import ConfigurationError, UncalError
+from uncal.settings import sweep_source
+from uncal.settings.guard import explain
 
 P = ParamSpec("P")
 R = TypeVar("R")
+
+FULL_ERROR = "HYDRA_FULL_ERROR"
+"""Environment variable; 1 shows the whole traceback in place of the message alone."""
 
 INTERRUPTED = 130
 """Exit code after Ctrl-C, as a shell gives it (128 + SIGINT)."""
@@ -44,13 +49,16 @@ def find_config_dir(package: Path) -> str:
 CONFIG_DIR: str = find_config_dir(Path(__file__).resolve().parent)
 """For ``hydra.main(config_path=CONFIG_DIR, ...)``."""
 
+sweep_source.register()
+
 
 def exits_on_error(main: Callable[P, R]) -> Callable[P, R]:
     """Make an entry point end with the message alone and exit code 1 on an :class:`UncalError`.
 
     Ctrl-C ends it without a traceback too. Stands below ``@hydra.main``, which would otherwise
-    print one. In a multirun the error ends its own job only: the other jobs run, then Hydra prints
-    the message and ends with exit code 1. Ctrl-C ends the whole multirun.
+    print one; ``HYDRA_FULL_ERROR=1`` brings the traceback back. In a multirun the error ends its
+    own job only: the other jobs run, then Hydra prints the message and ends with exit code 1.
+    Ctrl-C ends the whole multirun.
 
     >>> @exits_on_error
     ... def main() -> None:
@@ -65,12 +73,14 @@ def exits_on_error(main: Callable[P, R]) -> Callable[P, R]:
         try:
             return main(*args, **kwargs)
         except UncalError as error:
+            if os.environ.get(FULL_ERROR) == "1":
+                raise
             raise _ending(error) from error
         except InstantiationException as error:
+            if os.environ.get(FULL_ERROR) == "1":
+                raise
             # Hydra wraps what a constructor raises, and shows its line breaks as \\n.
-            if isinstance(error.__cause__, UncalError):
-                raise _ending(error.__cause__) from error
-            raise
+            raise _ending(explain(error)) from error
         except KeyboardInterrupt:
             raise SystemExit(INTERRUPTED) from None
 

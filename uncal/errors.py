@@ -17,3 +17,7 @@ class FrameError(UncalError):
 
 class ConfigurationError(UncalError):
     """A setting is out of its range or does not fit another setting."""
+
+
+class DivergenceError(UncalError):
+    """A training whose loss is no longer a finite number."""

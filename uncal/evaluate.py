@@ -1,32 +1,27 @@
-"""The table of a trained checkpoint again: ``python -m uncal.evaluate ckpt=…/best.ckpt``."""
+"""The table of trained weights: ``python -m uncal.evaluate weights=unical``, or ``ckpt=…``."""
 
 from __future__ import annotations
 
 import logging
 from pathlib import Path
-from typing import cast
 
 import hydra
-import lightning
-from omegaconf import DictConfig, OmegaConf
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig
 
-from uncal.assembly import build_data, build_module, build_trainer
-from uncal.callbacks.report import Report
-from uncal.checkpoint import load_weights, read_recipe
-from uncal.configuration import CONFIG_DIR, exits_on_error, quiet_libraries
-from uncal.memory import keep_freed_memory
-from uncal.runs import finished_earlier, keep_results, make_record, remember_passes
-from uncal.weights.digest import digest_of_file
-from uncal.weights.ingredients import data_ingredients
-from uncal.weights.obtain import Weights
+from uncal.configuration import CONFIG_DIR, exits_on_error, job_folder, quiet_libraries
+from uncal.errors import ConfigurationError
 
 log = logging.getLogger(__name__)
+
+CALIBRATION: tuple[str, ...] = ("interval", "mcd", "window", "split", "decalibration", "seed")
+"""Settings that a calibration belongs to."""
 
 
 @hydra.main(version_base="1.3", config_path=CONFIG_DIR, config_name="evaluate")
 @exits_on_error
 def main(config: DictConfig) -> float:
-    """Test a checkpoint with the settings it was trained with.
+    """Test weights with the settings that they were trained with, or as asked.
 
     Args:
         config: conf/evaluate.yaml with the command line's overrides.
@@ -34,29 +29,33 @@ def main(config: DictConfig) -> float:
     Returns:
         Mean over the DoF of mean absolute error / mean absolute decalibration.
     """
+    # Here and not above: they take seconds, which --help has no use for.
+    import lightning
+
+    from uncal.asked import with_settings_of
+    from uncal.assembly import RECIPE, build_data, build_module, build_trainer, say_simulated
+    from uncal.callbacks.report import Report
+    from uncal.checkpoint import load_weights, read_recipe, save_weights
+    from uncal.memory import keep_freed_memory
+    from uncal.runs import finished_earlier, keep_results, make_record, remember_passes
+    from uncal.settings.check import check_settings, refuse_values
+    from uncal.weights.digest import digest_of_file
+    from uncal.weights.ingredients import data_ingredients
+    from uncal.weights.obtain import Weights
+
     keep_freed_memory()
     quiet_libraries()
-    recipe = read_recipe(Path(config.ckpt))
-    OmegaConf.set_struct(config, False)  # the recipe brings keys of its own
-    run = OmegaConf.merge(config, recipe)
-    if config.dataset.root is not None:
-        run.dataset.root = run.dataset.recording.root = config.dataset.root
-    if config.dataset.workers is not None:
-        run.dataset.loader.workers = config.dataset.workers
-    run = cast(DictConfig, run)
-    recipe.mcd.setdefault("seed", recipe.seed)  # checkpoints of version 0.1.0 have none
-    asked = {key: value for key, value in config.mcd.items() if value is not None}
-    run.mcd = OmegaConf.merge(recipe.mcd, asked)
-    if config.get("interval") is None:
-        run.interval = recipe.interval
-    else:
-        run.interval = config.interval
-        log.info("intervals by %s", run.interval.calibrator._target_)
+    check_settings(config)
+    path = chosen_weights(config.weights, config.ckpt)
+    recipe = read_recipe(path)
+    run = with_settings_of(config, recipe, HydraConfig.get().overrides.task, RECIPE)
+    refuse_values(run, None)
     lightning.seed_everything(run.seed, workers=True, verbose=False)
-    data = build_data(run)
+    say_simulated(run)
     module = build_module(run)
     trainer = build_trainer(run)
-    weights = Weights(Path(config.ckpt), "", reused=True, trained=None)
+    data = build_data(run)
+    weights = Weights(path, "", reused=True, trained=None)
     record = make_record(
         "uncal.evaluate", run, module, trainer, {"ckpt": digest_of_file(weights.path)}
     )
@@ -64,15 +63,44 @@ def main(config: DictConfig) -> float:
     if earlier is not None:
         return earlier
     record.begin()
-    same = run.interval == recipe.interval and run.mcd.seed == recipe.mcd.seed
-    load_weights(module, weights.path, calibrated=same)
+    other_data = run.dataset.name != recipe.dataset.name
+    if run.refit or not other_data:
+        same = not other_data and all(run[key] == recipe.get(key) for key in CALIBRATION)
+        load_weights(module, weights.path, calibrated=same)
+    else:
+        load_weights(module, weights.path, calibrated=True)
+        module.provenance.append(
+            f"Intervals as calibrated on {recipe.dataset.label} data (refit=false): nothing "
+            "guarantees their coverage here."
+        )
     module.provenance.append(weights.sentence())
     if run.store is not None:
         remember_passes(run, module, trainer, data_ingredients(run, data))
     trainer.test(module, datamodule=data, verbose=False)
     if trainer.is_global_zero:
+        save_weights(module, job_folder() / "checkpoints" / "best.ckpt")
         keep_results(record, trainer, module, weights)
     return Report.of(trainer).results.summary.mean_ratio
+
+
+def chosen_weights(weights: str | None, ckpt: str | None) -> Path:
+    """The file that the user means.
+
+    Args:
+        weights: name or path of shipped weights.
+        ckpt: path of a checkpoint.
+
+    Raises:
+        ConfigurationError: none, both, or no such file.
+    """
+    from uncal.weights.shipped import find_weights, shipped_names
+
+    if (weights is None) == (ckpt is None):
+        raise ConfigurationError(
+            f"weights={weights}, ckpt={ckpt}: give one of them; shipped weights are "
+            f"{', '.join(shipped_names()) or 'none'}"
+        )
+    return Path(str(ckpt)) if weights is None else find_weights(weights)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Runs beside the paper's Table 1 and Table 2: ``python -m uncal.report RUN…``."""
+"""Runs next to the paper's Table 1 and Table 2: ``python -m uncal.report RUN…``."""
 
 from __future__ import annotations
 
@@ -11,20 +11,12 @@ from pathlib import Path
 
 from uncal.configuration import exits_on_error, quiet_libraries
 from uncal.errors import UncalError
-from uncal.reporting.comparison.content import compare
-from uncal.reporting.comparison.gathering import gather
-from uncal.reporting.comparison.html_page import html_page
-from uncal.reporting.comparison.markdown_text import markdown_text
-from uncal.reporting.comparison.terminal import terminal_text
-from uncal.reporting.comparison.tidy import tidy_csv
-from uncal.reporting.layout import write_whole
-from uncal.reporting.published import published_paper
 
 DESCRIPTION = """\
-Puts one or several runs beside the paper's Table 1 and Table 2 (WACV 2025): intervals, MC dropout
+Shows one or several runs next to the paper's Table 1 and Table 2 (WACV 2025): intervals, MC dropout
 alone, errors, the whole pose, the image-blind control, coverage by σ, and the figures, each with
-the command that made it. The paper measured on real KITTI and DSEC, a run on what it says: only the
-kind of statement can be compared, and the page says so."""
+the command it came from. The paper measured on real KITTI and DSEC, a run on its own data: compare
+coverage with its nominal level, not one accuracy with another; the page says so."""
 
 EPILOG = """\
 Written into the output folder:
@@ -37,9 +29,8 @@ Examples:
   python -m uncal.report outputs/demo/A outputs/demo/B --output comparison
   python -m uncal.report outputs/multirun/2025-01-31_13-00-00-000000
 
-A run's folder is what python -m uncal.train and uncal.evaluate name at their end. Runs of earlier
-versions, without run.json, work too; what they lack is said. For the paper's Table 2 give a run
-made with interval=gaussian."""
+A run's folder is what python -m uncal.train and uncal.evaluate name at their end. The page names
+the files that a folder lacks. For the paper's Table 2 give a run with interval=gaussian."""
 
 
 @exits_on_error
@@ -49,12 +40,19 @@ def main(arguments: Sequence[str] | None = None) -> None:
     Args:
         arguments: of the command line; None takes the process's own.
     """
-    asked = parser().parse_args(arguments)
+    options = parser().parse_args(arguments)
+    # Here and not above: they take seconds, which --help has no use for.
+    from uncal.comparison.gathering import gather
+    from uncal.comparison.page import compare, html_page, markdown_text, terminal_text
+    from uncal.comparison.tidy import tidy_csv
+    from uncal.reporting.layout import write_whole
+    from uncal.reporting.published import published_paper
+
     quiet_libraries()
-    gathered, paper = gather(asked.runs), published_paper()
+    gathered, paper = gather(options.runs), published_paper()
     given = sys.argv[1:] if arguments is None else arguments
     content = compare(paper, gathered, shlex.join(["python", "-m", "uncal.report", *given]))
-    folder = asked.output or Path("outputs/report") / f"{datetime.now():%Y-%m-%d_%H-%M-%S-%f}"
+    folder = options.output or Path("outputs/report") / f"{datetime.now():%Y-%m-%d_%H-%M-%S-%f}"
     try:
         folder.mkdir(parents=True, exist_ok=True)
         page = write_whole(folder / "report.html", html_page(content))
@@ -70,22 +68,22 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    made = argparse.ArgumentParser(
+    command_line = argparse.ArgumentParser(
         prog="python -m uncal.report",
         description=DESCRIPTION,
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    made.add_argument(
+    command_line.add_argument(
         "runs", nargs="+", type=Path, metavar="RUN", help="folder of a run or of a multirun"
     )
-    made.add_argument(
+    command_line.add_argument(
         "--output",
         type=Path,
         metavar="FOLDER",
         help="where to write (default: outputs/report/<time>)",
     )
-    return made
+    return command_line
 
 
 if __name__ == "__main__":

@@ -11,8 +11,6 @@ import hydra
 from omegaconf import DictConfig, OmegaConf
 
 from uncal.configuration import CONFIG_DIR, exits_on_error
-from uncal.simulation.cache import ensure_simulated
-from uncal.simulation.settings import SimulationSettings
 
 log = logging.getLogger(__name__)
 
@@ -21,6 +19,12 @@ log = logging.getLogger(__name__)
 @exits_on_error
 def main(config: DictConfig) -> None:
     """Simulate, or find what an earlier run simulated, and say what is where."""
+    # Here and not above: they take time, which --help has no use for.
+    from uncal.settings.check import check_settings
+    from uncal.simulation.cache import ensure_simulated
+    from uncal.simulation.settings import SimulationSettings
+
+    check_settings(config)
     plain = OmegaConf.to_container(config.simulation, resolve=True)
     settings = SimulationSettings.from_mapping(cast(Mapping[str, object], plain))
     root = ensure_simulated(settings, Path(config.root), config.workers, config.progress)

@@ -5,24 +5,19 @@ from __future__ import annotations
 import logging
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import hydra
-import lightning
-from lightning.pytorch.callbacks import ModelCheckpoint
 from omegaconf import DictConfig
 
-from uncal.assembly import build_data, build_module, build_trainer
-from uncal.callbacks.report import Report
-from uncal.checkpoint import load_weights, read_recipe, save_weights
 from uncal.configuration import CONFIG_DIR, exits_on_error, job_folder, quiet_libraries
-from uncal.data.datamodule import CalibrationDataModule
 from uncal.errors import UncalError
-from uncal.memory import keep_freed_memory
-from uncal.models.module import CalibrationModule
-from uncal.runs import finished_earlier, keep_results, make_record, remember_passes
-from uncal.weights.ingredients import data_ingredients, training_ingredients
-from uncal.weights.obtain import Weights, obtain
-from uncal.weights.store import WeightStore
+
+if TYPE_CHECKING:
+    import lightning
+
+    from uncal.data.datamodule import CalibrationDataModule
+    from uncal.models.module import CalibrationModule
 
 log = logging.getLogger(__name__)
 
@@ -39,12 +34,34 @@ def main(config: DictConfig) -> float:
         Mean over the DoF of mean absolute error / mean absolute decalibration on the test split;
         a sweeper minimises it.
     """
+    # Here and not above: they take seconds, which --help has no use for.
+    import lightning
+
+    from uncal.assembly import build_data, build_module, build_trainer, say_simulated
+    from uncal.callbacks.report import Report
+    from uncal.checkpoint import check_start, load_weights, read_recipe, save_weights, start_from
+    from uncal.memory import keep_freed_memory
+    from uncal.runs import finished_earlier, keep_results, make_record, remember_passes
+    from uncal.settings.check import check_settings
+    from uncal.weights.ingredients import data_ingredients, training_ingredients
+    from uncal.weights.kept import stays_trained
+    from uncal.weights.obtain import Weights, obtain
+    from uncal.weights.shipped import find_weights
+    from uncal.weights.store import WeightStore
+
     keep_freed_memory()
     quiet_libraries()
+    check_settings(config)
     lightning.seed_everything(config.seed, workers=True, verbose=False)
-    data = build_data(config)
+    say_simulated(config)
+    # Network and trainer first: what their settings are worth is known before any frame is read.
     module = build_module(config)
+    if config.model.get("weights") is not None:
+        start_from(module, find_weights(config.model.weights))
     trainer = build_trainer(config)
+    if config.ckpt is not None:
+        check_start(module, Path(config.ckpt))
+    data = build_data(config)
 
     shared = data_ingredients(config, data)
     ingredients = training_ingredients(config, data, module, trainer, shared)
@@ -67,16 +84,17 @@ def main(config: DictConfig) -> float:
             last=last_checkpoint(trainer),
             retrain=config.retrain,
         )
-    load_weights(module, weights.path, calibrated=read_recipe(weights.path) == module.recipe)
-    module.provenance.append(weights.sentence())
-    remember_passes(config, module, trainer, shared)
+    with stays_trained(weights.path):
+        load_weights(module, weights.path, calibrated=read_recipe(weights.path) == module.recipe)
+        module.provenance.append(weights.sentence())
+        remember_passes(config, module, trainer, shared)
 
-    trainer.test(module, datamodule=data, verbose=False)
-    if trainer.is_global_zero:
-        own = job_folder() / "checkpoints" / weights.path.name
-        if not own.is_file() or not own.samefile(weights.path):
-            save_weights(module, own)
-        keep_results(record, trainer, module, weights)
+        trainer.test(module, datamodule=data, verbose=False)
+        if trainer.is_global_zero:
+            own = job_folder() / "checkpoints" / weights.path.name
+            if not own.is_file() or not own.samefile(weights.path):
+                save_weights(module, own)
+            keep_results(record, trainer, module, weights)
     return Report.of(trainer).results.summary.mean_ratio
 
 
@@ -100,10 +118,22 @@ def fit(
         The checkpoint that validated best.
 
     Raises:
-        UncalError: interrupted, or no checkpoint was written.
+        UncalError: interrupted, stopped by an error, or no checkpoint was written.
     """
+    from uncal.checkpoint import save_weights
+    from uncal.errors import DivergenceError
+    from uncal.weights.kept import how_to_finish
+
     try:
         trainer.fit(module, datamodule=data, ckpt_path=start)
+    except DivergenceError:
+        raise
+    except UncalError as error:
+        if trainer.global_step == 0 or not trainer.is_global_zero:
+            raise
+        kept = job_folder() / "checkpoints" / "stopped.ckpt"
+        save_weights(module, kept)
+        raise UncalError(f"{error}\n{how_to_finish(kept)}") from error
     except SystemExit as stop:  # how Lightning passes Ctrl-C on
         raise UncalError(
             f"interrupted; go on after the last finished epoch with {continuation}"
@@ -131,6 +161,8 @@ def fit_or_resume(
     Returns:
         The checkpoint that validated best, before or after the interruption.
     """
+    from lightning.pytorch.callbacks import ModelCheckpoint
+
     if start is not None:
         for callback in trainer.checkpoint_callbacks:
             if isinstance(callback, ModelCheckpoint):
@@ -148,6 +180,8 @@ def fit_or_resume(
 
 def last_checkpoint(trainer: lightning.Trainer) -> Path | None:
     """Where a trainer keeps what it has after every epoch; None if it does not."""
+    from lightning.pytorch.callbacks import ModelCheckpoint
+
     for callback in trainer.checkpoint_callbacks:
         if isinstance(callback, ModelCheckpoint) and callback.filename == "last":
             return Path(str(callback.dirpath)) / "last.ckpt"

@@ -8,6 +8,7 @@ from pathlib import Path
 import lightning
 import pytest
 import torch
+from lightning.pytorch.loggers import CSVLogger, Logger
 from torch import Tensor, nn
 
 from uncal.callbacks.image_blind import ImageBlindControl
@@ -44,7 +45,13 @@ class Reader(nn.Module):
         return means
 
 
-def run_test(root: Path, folder: Path, channels: slice, *callbacks: lightning.Callback) -> Report:
+def run_test(
+    root: Path,
+    folder: Path,
+    channels: slice,
+    *callbacks: lightning.Callback,
+    logger: Logger | None = None,
+) -> Report:
     torch.manual_seed(0)
     network = Reader(channels)
     network(torch.ones(1, 5, 4, 4))
@@ -84,7 +91,7 @@ def run_test(root: Path, folder: Path, channels: slice, *callbacks: lightning.Ca
     report = Report(str(folder), levels=[0.5], label="generated")
     trainer = lightning.Trainer(
         accelerator="cpu",
-        logger=False,
+        logger=logger or False,
         enable_checkpointing=False,
         enable_progress_bar=False,
         enable_model_summary=False,
@@ -120,6 +127,22 @@ def test_the_control_is_a_row_of_the_tables(
     assert "camera contributes (%)" in shown
     assert str(tmp_path / "control.csv") in shown
     assert "camera contributes (%)" in (tmp_path / "results.md").read_text(encoding="utf-8")
+
+
+def test_the_metrics_of_the_table_are_logged(kitti_raw_root: Path, tmp_path: Path) -> None:
+    logger = CSVLogger(tmp_path, name="log", version="")
+    report = run_test(kitti_raw_root, tmp_path, slice(0, 3), logger=logger)
+    logger.save()
+    (logged,) = rows(tmp_path / "log" / "metrics.csv")
+    assert len([name for name in logged if name.startswith("test ")]) == 18
+    for _, row in report.results.per_dof.iterrows():
+        dof, unit = row["dof"], row["unit"]
+        for name, column in (
+            (f"test PICP 50% (%)/{dof}", "picp"),
+            (f"test MPIW 50%/{dof} ({unit})", "mpiw"),
+            (f"test IS 50%/{dof} ({unit})", "is"),
+        ):
+            assert float(logged[name]) == pytest.approx(row[column], rel=1e-5)
 
 
 def test_a_network_that_reads_points_alone(kitti_raw_root: Path, tmp_path: Path) -> None:

@@ -3,7 +3,7 @@ from pathlib import Path
 
 import pytest
 
-from uncal.reporting.run_record import RunRecord, command_line, read_run
+from uncal.reporting.run_record import RunRecord, command_line, read_record
 
 
 def record(folder: Path, request: str = "abc") -> RunRecord:
@@ -20,7 +20,7 @@ def record(folder: Path, request: str = "abc") -> RunRecord:
 
 def test_a_record_says_what_the_run_was_and_what_came_out(tmp_path: Path) -> None:
     record(tmp_path).write(mean_ratio=0.5, weights={"reused": True})
-    content = read_run(tmp_path)
+    content = read_record(tmp_path)
     assert content is not None
     assert content["command"] == "python -m uncal.train mcd.passes=5"
     assert content["label"] == "simulated street-scene"
@@ -57,7 +57,7 @@ def test_a_run_that_begins_again_is_not_finished(tmp_path: Path) -> None:
 def test_a_damaged_record_is_taken_for_missing(tmp_path: Path, damage: str) -> None:
     (tmp_path / "run.json").write_text(damage)
     (tmp_path / "results.csv").write_text("dof\n")
-    assert read_run(tmp_path) is None
+    assert read_record(tmp_path) is None
     assert record(tmp_path).finished_earlier() is None
 
 

@@ -9,16 +9,10 @@ import torch
 from torch import Tensor
 
 from uncal.geometry import DOF_NAMES
-from uncal.reporting.tables import (
-    COLUMNS,
-    TERMINAL_WIDTH,
-    ResultRow,
-    Summary,
-    format_terminal,
-    results_table,
-    summarise,
-    write_results,
-)
+from uncal.metrics.pose_error import pose_errors
+from uncal.reporting.frames import RESULTS
+from uncal.reporting.measure import Results, measure
+from uncal.reporting.report import TERMINAL_WIDTH, format_report, main_grid, write_report
 from uncal.uncertainty import ConformalCalibrator, NotCalibratedError, coverage_band
 
 LEVELS = (0.9, 0.95, 0.99)
@@ -33,10 +27,9 @@ def _predictions(n: int, seed: int = 0) -> tuple[Tensor, Tensor, Tensor]:
     return target + std * torch.randn(n, 6, generator=generator), std, target
 
 
-def _results(m: int) -> tuple[list[ResultRow], Summary]:
+def _results(m: int) -> Results:
     calibrator = ConformalCalibrator(DOF_NAMES).fit(*_predictions(m, seed=1))
-    mean, std, target = _predictions(200)
-    return results_table(mean, std, target, calibrator, LEVELS), summarise(mean, target, m)
+    return measure(*_predictions(200), calibrator, LEVELS)
 
 
 def test_a_table_by_hand() -> None:
@@ -46,15 +39,15 @@ def test_a_table_by_hand() -> None:
     calibrator = ConformalCalibrator().fit(zeros, milli, 1e-3 * scores)
     target = torch.tensor([[0.02] * 6, [-0.04] * 6])
     mean = torch.tensor([[0.015] * 6, [-0.02] * 6])  # errors of 5 (inside) and 20 (outside)
-    rows = results_table(mean, milli[:2], target, calibrator, [0.9])
-    assert [row.dof for row in rows] == list(DOF_NAMES)
-    x, yaw = rows[0], rows[5]
+    rows = measure(mean, milli[:2], target, calibrator, [0.9]).per_dof
+    assert rows["dof"].tolist() == list(DOF_NAMES)
+    x, yaw = rows.iloc[0], rows.iloc[5]
     assert (x.unit, x.level, x.picp, x.n_test, x.n_calibration) == ("cm", 90.0, 50.0, 2, 9)
     assert x.mae_before == pytest.approx(3.0)
     assert x.mae_after == pytest.approx(1.25)
     assert x.ratio == pytest.approx(1.25 / 3)
     assert x.mpiw == pytest.approx(1.8)
-    assert x.interval_score == pytest.approx(1.8 + 20 * 1.1 / 2, rel=1e-5)
+    assert x["is"] == pytest.approx(1.8 + 20 * 1.1 / 2, rel=1e-5)
     assert yaw.unit == "°"
     assert yaw.mpiw == pytest.approx(math.degrees(0.018))
     assert yaw.mae_before == pytest.approx(math.degrees(0.03))
@@ -63,24 +56,25 @@ def test_a_table_by_hand() -> None:
 
 
 def test_coverage_is_inside_the_band_and_a_wrong_calibrator_is_not() -> None:
-    rows, _ = _results(m=300)
+    rows = _results(m=300).per_dof
     assert len(rows) == 18
-    assert all(row.in_band for row in rows)
-    assert all(row.in_band == (row.coverage_low <= row.picp <= row.coverage_high) for row in rows)
+    assert rows["in_band"].all()
+    inside = rows["picp"].between(rows["coverage_low"], rows["coverage_high"])
+    assert rows["in_band"].tolist() == inside.tolist()
     mean, std, target = _predictions(300, seed=1)
     overconfident = ConformalCalibrator().fit(mean, 4 * std, target)
     mean, std, target = _predictions(200)
-    assert not any(row.in_band for row in results_table(mean, std, target, overconfident, [0.9]))
+    assert not measure(mean, std, target, overconfident, [0.9]).per_dof["in_band"].any()
 
 
 def test_pose_errors_by_hand() -> None:
     target = torch.tensor([[0.03, 0.04, 0.0, 0.0, 0.0, 0.02], [0.0, 0.0, 0.1, 0.0, 0.01, 0.0]])
-    summary = summarise(torch.zeros(2, 6), target, n_calibration=7)
+    summary = pose_errors(torch.zeros(2, 6), target, n_calibration=7)
     assert summary.translation_before == summary.translation_after == pytest.approx(7.5)
     assert summary.rotation_before == pytest.approx(math.degrees(0.015))
     assert summary.rotation_after == pytest.approx(math.degrees(0.015))
     assert summary.mean_ratio == pytest.approx(1.0)
-    perfect = summarise(target, target, n_calibration=7)
+    perfect = pose_errors(target, target, n_calibration=7)
     assert perfect.translation_after == 0.0
     assert perfect.rotation_after == pytest.approx(0.0, abs=1e-6)
     assert perfect.mean_ratio == 0.0
@@ -92,70 +86,73 @@ def test_rotation_error_is_the_angle_between_the_rotations() -> None:
     target[0, 3], target[0, 5] = math.radians(20), math.radians(30)
     c, r = math.cos(math.radians(30)), math.cos(math.radians(20))
     angle = math.degrees(math.acos((c + c * r + r - 1) / 2))
-    assert summarise(torch.zeros(1, 6), target, 1).rotation_before == pytest.approx(angle, rel=1e-6)
+    assert pose_errors(torch.zeros(1, 6), target, 1).rotation_before == pytest.approx(
+        angle, rel=1e-6
+    )
 
 
 def test_a_dof_that_was_never_decalibrated_has_no_ratio() -> None:
     mean, std, target = _predictions(50)
     target[:, 2] = 0.0
     calibrator = ConformalCalibrator().fit(*_predictions(100, seed=1))
-    rows = results_table(mean, std, target, calibrator, [0.9])
-    assert math.isnan(rows[2].ratio)
-    summary = summarise(mean, target, 100)
-    others = [row.ratio for row in rows if row.dof != "Z"]
-    assert summary.mean_ratio == pytest.approx(sum(others) / 5)
-    assert "–" in format_terminal(rows, summary, label="simulated")
+    results = measure(mean, std, target, calibrator, [0.9])
+    ratios = results.per_dof["ratio"].tolist()
+    assert math.isnan(ratios.pop(2))
+    others = ratios
+    assert results.summary.mean_ratio == pytest.approx(sum(others) / 5)
+    assert "–" in format_report(results, label="simulated")
 
 
 def test_csv_reads_back_exactly(tmp_path: Path) -> None:
-    rows, summary = _results(m=300)
-    table, _ = write_results(tmp_path / "run", rows, summary, label="simulated")
+    results = _results(m=300)
+    table, *_ = write_report(tmp_path / "run", results, label="simulated")
     assert table.name == "results.csv"
     with table.open(encoding="utf-8", newline="") as file:
         read = list(csv.DictReader(file))
-    assert tuple(read[0]) == COLUMNS
-    for row, line in zip(rows, read, strict=True):
-        assert (line["dof"], line["unit"]) == (row.dof, row.unit)
-        for column in ("level", "picp", "mpiw", "mae_before", "mae_after", "ratio"):
-            assert float(line[column]) == getattr(row, column)
-        assert float(line["is"]) == row.interval_score
-        assert line["in_band"] == str(row.in_band)
+    assert list(read[0]) == list(RESULTS.columns)
+    for (_, row), line in zip(results.per_dof.iterrows(), read, strict=True):
+        assert (line["dof"], line["unit"]) == (row["dof"], row["unit"])
+        for column in ("level", "picp", "mpiw", "is", "mae_before", "mae_after", "ratio"):
+            assert float(line[column]) == row[column]
+        assert line["in_band"] == str(row["in_band"])
         assert int(line["n_test"]) == 200
 
 
 def test_same_predictions_same_bytes(tmp_path: Path) -> None:
     for name in ("a", "b"):
-        write_results(tmp_path / name, *_results(m=150), label="simulated", notes=["A note."])
+        write_report(tmp_path / name, _results(m=150), label="simulated", notes=["A note."])
     for file in ("results.csv", "results.md"):
         assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes()
 
 
-def test_nothing_but_the_two_files_is_left(tmp_path: Path) -> None:
+def test_nothing_but_its_files_is_left(tmp_path: Path) -> None:
     for _ in range(2):
-        write_results(tmp_path, *_results(m=150), label="simulated")
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["results.csv", "results.md"]
+        paths = write_report(tmp_path, _results(m=150), label="simulated")
+    assert sorted(tmp_path.iterdir()) == sorted(paths)
 
 
 def test_markdown(tmp_path: Path) -> None:
-    rows, summary = _results(m=300)
-    _, text = write_results(
-        tmp_path, rows, summary, label="simulated", notes=["By rig."], extra={"Control": "0.98"}
+    results = _results(m=300)
+    _, text, *_ = write_report(
+        tmp_path, results, label="simulated", notes=["By rig."], extra={"Control": "0.98"}
     )
     lines = text.read_text(encoding="utf-8").splitlines()
     assert lines[0] == "# Results on simulated data"
     assert "| X (cm) | Y (cm) | Z (cm) | Roll (°) | Pitch (°) | Yaw (°) |" in lines[4]
-    assert len([line for line in lines if line.startswith("|")]) == 2 + 3 + 3 * 3
-    assert f"| 90% MPIW | {rows[0].mpiw:.2f} |" in "\n".join(lines)
+    mpiw = results.per_dof["mpiw"][0]
+    main = lines[: lines.index("## The whole pose")]
+    assert len([line for line in main if line.startswith("|")]) == 2 + 3 + 3 * 3
+    assert f"| 90% MPIW | {mpiw:.2f} |" in "\n".join(lines)
     assert "- By rig." in lines
     assert "- Control: 0.98" in lines
 
 
 @pytest.mark.filterwarnings("ignore:40 samples")
 def test_infinite_widths(tmp_path: Path) -> None:
-    rows, summary = _results(m=40)
-    table, text = write_results(tmp_path, rows, summary, label="KITTI")
+    results = _results(m=40)
+    table, text, *_ = write_report(tmp_path, results, label="KITTI")
     assert "X,cm,99.0,100.0,inf,inf,100.0,100.0,True," in table.read_text(encoding="utf-8")
-    for shown in (text.read_text(encoding="utf-8"), format_terminal(rows, summary, label="KITTI")):
+    for shown in (text.read_text(encoding="utf-8"), format_report(results, label="KITTI")):
         assert "∞" in shown
         assert "inf" not in shown
         assert "nan" not in shown
@@ -163,16 +160,15 @@ def test_infinite_widths(tmp_path: Path) -> None:
 
 
 def test_terminal_is_aligned_and_fits() -> None:
-    rows, summary = _results(m=300)
-    text = format_terminal(
-        rows, summary, label="simulated", notes=["word " * 60], extra={"Control": "0.98"}
+    results = _results(m=300)
+    text = format_report(
+        results, label="simulated", notes=["word " * 60], extra={"Control": "0.98"}
     )
     lines = text.splitlines()
     assert max(len(line) for line in lines) <= TERMINAL_WIDTH
-    table = [
-        line for line in lines if line.startswith(("MAE", "after", "90%", "95%", "99%", "   "))
-    ]
-    assert len({len(line) for line in table if not line.startswith("  w")}) == 1
+    table = lines[4 : 4 + len(main_grid(results)) + 3]  # a gap before each level
+    assert len({len(line) for line in table if line}) == 1
+    assert table[-1].startswith("99% IS")
     assert "Control: 0.98" in lines
 
 
@@ -180,21 +176,21 @@ def test_out_of_band_is_marked() -> None:
     mean, std, target = _predictions(300, seed=1)
     calibrator = ConformalCalibrator().fit(mean, 4 * std, target)
     mean, std, target = _predictions(200)
-    rows = results_table(mean, std, target, calibrator, [0.9])
-    text = format_terminal(rows, summarise(mean, target, 300), label="simulated")
-    assert f"{rows[0].picp:.1f}*" in text
-    assert "*: outside the allowed band." in text
+    results = measure(mean, std, target, calibrator, [0.9])
+    text = format_report(results, label="simulated")
+    assert f"{results.per_dof['picp'][0]:.1f}*" in text
+    assert "*: outside the reference band." in text
 
 
 def test_refusals() -> None:
     mean, std, target = _predictions(10)
     calibrator = ConformalCalibrator().fit(*_predictions(100, seed=1))
     with pytest.raises(NotCalibratedError):
-        results_table(mean, std, target, ConformalCalibrator(), LEVELS)
+        measure(mean, std, target, ConformalCalibrator(), LEVELS)
     with pytest.raises(ValueError, match=r"must be \(n, 6\)"):
-        results_table(mean[:, :5], std, target, calibrator, LEVELS)
+        measure(mean[:, :5], std, target, calibrator, LEVELS)
     with pytest.raises(ValueError, match="no coverage levels"):
-        results_table(mean, std, target, calibrator, [])
+        measure(mean, std, target, calibrator, [])
     target[0, 0] = torch.nan
     with pytest.raises(ValueError, match="1 values that are NaN"):
-        summarise(mean, target, 100)
+        pose_errors(mean, target, 100)

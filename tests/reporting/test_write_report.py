@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import csv
 import math
-from dataclasses import fields
 from pathlib import Path
 
 import pytest
@@ -10,11 +9,9 @@ import torch
 from torch import Tensor
 
 from uncal.geometry import DOF_NAMES
-from uncal.reporting.conditional_rows import ConditionalRow
-from uncal.reporting.curve_rows import CurveRow
-from uncal.reporting.joint_rows import JointRow
-from uncal.reporting.report import Results, format_report, measure, write_report
-from uncal.reporting.tables import COLUMNS, TERMINAL_WIDTH, results_table
+from uncal.reporting.frames import CONDITIONAL, CURVE, JOINT, RESULTS
+from uncal.reporting.measure import Results, measure
+from uncal.reporting.report import TERMINAL_WIDTH, format_report, write_report
 from uncal.uncertainty import (
     ConformalCalibrator,
     GaussianIntervals,
@@ -52,19 +49,19 @@ def test_all_files(tmp_path: Path) -> None:
     names = ["results.csv", "results.md", "joint.csv", "conditional.csv", "calibration_curve.csv"]
     assert [path.name for path in paths] == names
     assert sorted(each.name for each in paths[0].parent.iterdir()) == sorted(names)
-    assert tuple(_read(paths[0])[0]) == COLUMNS
-    for path, kind, rows in (
-        (paths[2], JointRow, results.joint),
-        (paths[3], ConditionalRow, results.conditional),
-        (paths[4], CurveRow, results.curve),
+    assert list(_read(paths[0])[0]) == list(RESULTS.columns)
+    for path, schema, rows in (
+        (paths[2], JOINT, results.joint),
+        (paths[3], CONDITIONAL, results.conditional),
+        (paths[4], CURVE, results.curve),
     ):
         read = _read(path)
-        assert list(read[0]) == [field.name for field in fields(kind)]
+        assert list(read[0]) == list(schema.columns)
         assert len(read) == len(rows)
     first = _read(paths[2])[0]
-    assert float(first["joint"]) == results.joint[0].joint
-    assert float(first["bonferroni_size"]) == results.joint[0].bonferroni_size
-    assert float(_read(paths[3])[-1]["value_to"]) == results.conditional[-1].value_to
+    assert float(first["joint"]) == results.joint["joint"][0]
+    assert float(first["bonferroni_size"]) == results.joint["bonferroni_size"][0]
+    assert float(_read(paths[3])[-1]["value_to"]) == results.conditional["value_to"].iloc[-1]
     text = paths[1].read_text(encoding="utf-8")
     assert [line for line in text.splitlines() if line.startswith("## ")] == [
         "## The whole pose",
@@ -86,13 +83,11 @@ def test_same_predictions_same_bytes(tmp_path: Path) -> None:
 
 def test_independent_errors_are_held_together_less_often() -> None:
     results = _measured()
-    for row in results.joint:
+    for _, row in results.joint.iterrows():
         # Six independent errors: (1-α)^6 is .26 and .53.
         assert row.together == pytest.approx(100 * (row.level / 100) ** 6, abs=12)
         assert row.joint_in_band
-        assert row.joint is not None
         assert row.joint > row.together + 20
-        assert row.bonferroni is not None
         assert row.bonferroni >= row.level - 5
 
 
@@ -101,23 +96,23 @@ def test_terminal_has_the_whole_pose_and_fits() -> None:
     assert max(len(line) for line in text.splitlines()) <= TERMINAL_WIDTH
     assert "The whole pose" in text
     assert "Joint box (%)" in text
-    assert "allowed" in text
+    assert "reference band" in text
 
 
 def test_a_method_that_promises_nothing_is_allowed_nothing(tmp_path: Path) -> None:
     calibrator = GaussianIntervals(DOF_NAMES).fit(*_predictions(400, seed=1))
     mean, std, target = _predictions(200, seed=0)
     results = measure(mean, std / 4, target, calibrator, LEVELS)
-    assert results.promise == "none"
-    assert not any(row.in_band for row in results.rows)
+    assert results.guarantee == "none"
+    assert not results.per_dof["in_band"].any()
     paths = write_report(tmp_path, results, label="simulated")
     for text in (paths[1].read_text(encoding="utf-8"), format_report(results, label="simulated")):
-        assert "This interval method promises no coverage." in text
+        assert "This interval method guarantees no coverage." in text
         assert "90% PICP (%)" in text
-        assert "Allowed:" not in text
-        assert ", allowed" not in text
+        assert "Reference band:" not in text
+        assert ", reference band" not in text
         assert "*" not in text
-    assert tuple(_read(paths[0])[0]) == COLUMNS
+    assert list(_read(paths[0])[0]) == list(RESULTS.columns)
 
 
 def test_groups_and_bounds_reach_the_calibrator(tmp_path: Path) -> None:
@@ -125,22 +120,22 @@ def test_groups_and_bounds_reach_the_calibrator(tmp_path: Path) -> None:
     groups = ["a", "b"] * 200
     mondrian = MondrianCalibrator(DOF_NAMES).fit(*fitted, groups=groups)
     results = measure(*tested, mondrian, LEVELS, groups=groups[:200])
-    assert results.promise == "by group"
+    assert results.guarantee == "by group"
     paths = write_report(tmp_path, results, label="simulated")
-    assert "promises its coverage by group" in paths[1].read_text(encoding="utf-8")
+    assert "guarantees coverage by group" in paths[1].read_text(encoding="utf-8")
     with pytest.raises(UncertaintyError, match="groups"):
-        results_table(*tested, mondrian, LEVELS)
+        measure(*tested, mondrian, LEVELS)
     with pytest.raises(ValueError, match="3 groups for 200 samples"):
-        results_table(*tested, mondrian, LEVELS, groups=["a"] * 3)
+        measure(*tested, mondrian, LEVELS, groups=["a"] * 3)
 
     def bounds(data: tuple[Tensor, Tensor, Tensor]) -> tuple[Tensor, Tensor]:
         return data[0] - data[1], data[0] + data[1]
 
     quantile = QuantileCalibrator(DOF_NAMES).fit(*fitted, bounds=bounds(fitted))
-    rows = results_table(*tested, quantile, LEVELS, bounds=bounds(tested))
-    assert all(row.in_band for row in rows)
+    rows = measure(*tested, quantile, LEVELS, bounds=bounds(tested)).per_dof
+    assert rows["in_band"].all()
     with pytest.raises(UncertaintyError, match="bounds"):
-        results_table(*tested, quantile, LEVELS)
+        measure(*tested, quantile, LEVELS)
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning")
@@ -149,7 +144,7 @@ def test_too_few_groups_are_infinite_and_said_to_be(tmp_path: Path) -> None:
         *_predictions(40, seed=1), groups=["a", "b", "c", "d"] * 10
     )
     results = measure(*_predictions(20, seed=0), calibrator, [0.9], groups=["e"] * 20)
-    assert all(math.isinf(row.mpiw) for row in results.rows)
+    assert results.per_dof["mpiw"].map(math.isinf).all()
     text = write_report(tmp_path, results, label="simulated")[1].read_text(encoding="utf-8")
     assert "∞: too few groups" in text
     assert "nan" not in text

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 from torch.utils.flop_counter import FlopCounterMode
-from tqdm import tqdm
 
 from uncal.benchmarking.cuda_graph import graphed
 from uncal.benchmarking.placement import placements
+from uncal.progress import progress_bar
 from uncal.uncertainty.masks import FixedMasks
 from uncal.uncertainty.mc_dropout import MCDropout
 
@@ -83,7 +83,7 @@ def measure_latency(
     contestants = _contestants(network, inputs, passes, compiled)
     counts = [_operations(each.call) for each in contestants]
     times: list[list[float]] = [[] for _ in contestants]
-    with tqdm(total=rounds * len(contestants), desc=case, leave=False, mininterval=1.0) as bar:
+    with progress_bar(case, rounds * len(contestants), leave=False) as bar:
         for _ in range(rounds):
             for each, measured in zip(contestants, times, strict=True):
                 measured.append(1e3 * _time(each.call, inputs[0].device))

@@ -7,18 +7,20 @@ from pathlib import Path
 
 import cv2
 import lightning
+import numpy as np
 from lightning import LightningModule, Trainer
-from lightning.pytorch.loggers import TensorBoardLogger
 
+from uncal.callbacks.pictures import show_picture
 from uncal.models.module import CalibrationModule
 from uncal.reporting.figures.named import save
-from uncal.reporting.figures.run_figures import figure_makers, recorded_yardstick
+from uncal.reporting.figures.run_figures import figure_makers
+from uncal.reporting.run import recorded_caveat
 
 log = logging.getLogger(__name__)
 
 
 class Figures(lightning.Callback):
-    """Draws all figures of a run when its test ends; stands after ``report``, whose files it reads.
+    """Draws all figures of a run when its test ends, from the files of ``report`` before it.
 
     Args:
         folder: the run's folder; the figures go to ``figures`` in it.
@@ -33,26 +35,18 @@ class Figures(lightning.Callback):
         """Draw, write, log; a figure that fails is named, and the others and the run go on."""
         if not trainer.is_global_zero:
             return
-        yardstick = None
+        caveat = None
         if isinstance(pl_module, CalibrationModule):
-            yardstick = recorded_yardstick(pl_module.recipe)
-        for name, make in figure_makers(self.folder, self.label, yardstick).items():
+            caveat = recorded_caveat(pl_module.recipe)
+        for name, draw in figure_makers(self.folder, self.label, caveat).items():
             try:
-                figure = make()
+                figure = draw()
                 png = None if figure is None else save(figure, self.folder / "figures")[0]
             except Exception as error:
                 # Whatever it is: hours of training must not end here.
                 log.error("figure %s was not drawn: %s: %s", name, type(error).__name__, error)
                 continue
-            if png is not None:
-                _log(trainer, name, png)
-
-
-def _log(trainer: Trainer, name: str, png: Path) -> None:
-    for logger in trainer.loggers:
-        if isinstance(logger, TensorBoardLogger):
-            picture = cv2.imread(str(png))
-            assert picture is not None
-            logger.experiment.add_image(
-                f"figure/{name}", picture[:, :, ::-1], trainer.global_step, dataformats="HWC"
-            )
+            picture = None if png is None else cv2.imread(str(png))
+            if picture is not None:
+                rgb = np.asarray(picture[:, :, ::-1], dtype=np.uint8)
+                show_picture(trainer, rgb, f"figure/{name}")

@@ -1,4 +1,4 @@
-"""What the camera contributes: the test once more, with the images swapped among the frames."""
+"""What the camera contributes: the test once more, with the images permuted among the frames."""
 
 from __future__ import annotations
 
@@ -23,11 +23,7 @@ class ImageBlindControl(lightning.Callback):
 
     @staticmethod
     def of(trainer: Trainer) -> ControlPrediction | None:
-        """What the control found; None where it was not configured or found nothing.
-
-        Args:
-            trainer: in or after ``test``.
-        """
+        """The control of a test; None where it was not configured or found nothing."""
         for callback in trainer.callbacks:  # type: ignore[attr-defined]  # set by Trainer.__init__
             if isinstance(callback, ImageBlindControl):
                 return callback.control

@@ -5,15 +5,13 @@ from __future__ import annotations
 import logging
 from pathlib import Path
 
-import cv2
 import lightning
 import numpy as np
 from lightning import LightningModule, Trainer
-from lightning.pytorch.loggers import TensorBoardLogger
 from numpy.typing import NDArray
 from torch import Tensor
 
-from uncal.callbacks.overlays import WIDTH_PX, background
+from uncal.callbacks.pictures import keep_picture, sample_panel
 from uncal.data.datamodule import CalibrationDataModule
 from uncal.data.dataset import Sample
 from uncal.decalibration import correct, decalibrate
@@ -21,8 +19,7 @@ from uncal.errors import ConfigurationError
 from uncal.geometry import DOF_NAMES, DOF_SCALE
 from uncal.models.module import CalibrationModule
 from uncal.models.prediction import SplitPrediction
-from uncal.reporting.overlay import overlay_panel
-from uncal.reporting.predictions import percent
+from uncal.reporting.evaluation import percent
 
 log = logging.getLogger(__name__)
 
@@ -58,7 +55,7 @@ class IntervalOverlays(lightning.Callback):
         if not isinstance(pl_module, CalibrationModule) or pl_module.tested is None:
             return
         tested = pl_module.tested
-        made = pl_module.calibrator.predict(
+        intervals = pl_module.calibrator.predict(
             tested.mean,
             tested.std,
             self.level,
@@ -66,7 +63,7 @@ class IntervalOverlays(lightning.Callback):
             bounds=tested.bounds,
         )
         j = DOF_NAMES.index(self.dof)
-        lower, upper = made.lower[:, j], made.upper[:, j]
+        lower, upper = intervals.lower[:, j], intervals.upper[:, j]
         ranks = chosen_by_width(upper - lower, self.frames)
         if not ranks:
             log.info("no overlays of intervals: at %g %% none is finite", percent(self.level))
@@ -80,7 +77,9 @@ class IntervalOverlays(lightning.Callback):
                 log.error("%s was not drawn: %s: %s", what, type(error).__name__, error)
                 continue
             if picture is not None:
-                self._keep(trainer, picture, f"{self.dof.lower()}_{rank.replace(' ', '_')}")
+                name = f"{self.dof.lower()}_{rank.replace(' ', '_')}"
+                path = self.folder / f"interval_{name}.png"
+                keep_picture(trainer, picture, path, f"interval/{name}")
 
     def _draw(
         self,
@@ -96,19 +95,7 @@ class IntervalOverlays(lightning.Callback):
         estimate, target = tested.mean[i].double(), tested.target[i].double()
         T_init = decalibrate(sample.T_cam_lidar.double(), target)
         extrinsics = bound_extrinsics(T_init, estimate, target, bounds, self.dof, what)
-        image = background(data, sample)
-        scale = max(1, round(WIDTH_PX / image.shape[1]))
-        K = sample.K.double().numpy()
-        return overlay_panel(image, sample.points.numpy(), K, extrinsics, scale)
-
-    def _keep(self, trainer: Trainer, picture: NDArray[np.uint8], name: str) -> None:
-        self.folder.mkdir(parents=True, exist_ok=True)
-        cv2.imwrite(str(self.folder / f"interval_{name}.png"), picture[:, :, ::-1])
-        for logger in trainer.loggers:
-            if isinstance(logger, TensorBoardLogger):
-                logger.experiment.add_image(
-                    f"interval/{name}", picture, trainer.global_step, dataformats="HWC"
-                )
+        return sample_panel(data, sample, extrinsics)
 
 
 def chosen_by_width(width: Tensor, frames: int) -> dict[str, int]:
@@ -143,14 +130,6 @@ def bound_extrinsics(
     what: str,
 ) -> dict[str, NDArray[np.float64]]:
     """The extrinsic corrected by the estimate, one DoF of which stands at a bound of its interval.
-
-    Args:
-        T_init: (4, 4) decalibrated extrinsic.
-        estimate: (6,) estimated decalibration, metres and radians.
-        target: (6,) true decalibration.
-        bounds: lower and upper bound of that DoF, metres or radians.
-        dof: its name.
-        what: which frame this is, for a caption.
 
     Returns:
         Caption in plain ASCII, which OpenCV can draw → (4, 4): lower bound, estimate, upper bound.

@@ -4,23 +4,18 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import cv2
 import lightning
 import numpy as np
 import torch
 from lightning import LightningModule, Trainer
-from lightning.pytorch.loggers import TensorBoardLogger
 from numpy.typing import NDArray
 
+from uncal.callbacks.pictures import keep_picture, sample_panel
 from uncal.data.datamodule import CalibrationDataModule
 from uncal.data.dataset import Sample, collate
 from uncal.decalibration import correct
+from uncal.metrics.pose_error import pose_errors
 from uncal.models.module import CalibrationModule
-from uncal.reporting.overlay import draw_events, overlay_panel
-from uncal.reporting.rows import summarise
-
-WIDTH_PX = 1000
-"""Least width of a picture; small images are enlarged to it."""
 
 
 class Overlays(lightning.Callback):
@@ -49,7 +44,9 @@ class Overlays(lightning.Callback):
             sample = dataset[i][0]
             if isinstance(sample, Sample):
                 picture = self._draw(trainer, pl_module, data, sample)
-                self._keep(trainer, picture, str(sample.frame))
+                name = str(sample.frame)
+                path = self.folder / f"{name.replace('/', '_')}.png"
+                keep_picture(trainer, picture, path, f"overlay/{name}")
 
     def _draw(
         self,
@@ -65,7 +62,7 @@ class Overlays(lightning.Callback):
         T_true = sample.T_cam_lidar.double()
         T_init = inputs.T_init[0].cpu().double()
         T_estimated = correct(T_init, estimate[0].cpu().double())
-        error = summarise(estimate.cpu(), inputs.target.cpu(), 0)
+        error = pose_errors(estimate.cpu(), inputs.target.cpu(), 0)
         before = f"{error.translation_before:.1f} cm, {error.rotation_before:.2f} deg"
         after = f"{error.translation_after:.1f} cm, {error.rotation_after:.2f} deg"
         extrinsics = {
@@ -73,38 +70,4 @@ class Overlays(lightning.Callback):
             f"estimated: off by {after}": T_estimated.numpy(),
             f"true extrinsic ({self.label}, rig {sample.frame.rig})": T_true.numpy(),
         }
-        image = background(data, sample)
-        scale = max(1, round(WIDTH_PX / image.shape[1]))
-        return overlay_panel(
-            image, sample.points.numpy(), sample.K.double().numpy(), extrinsics, scale
-        )
-
-    def _keep(self, trainer: Trainer, picture: NDArray[np.uint8], frame: str) -> None:
-        self.folder.mkdir(parents=True, exist_ok=True)
-        path = self.folder / f"{frame.replace('/', '_')}.png"
-        cv2.imwrite(str(path), picture[:, :, ::-1])
-        for logger in trainer.loggers:
-            if isinstance(logger, TensorBoardLogger):
-                logger.experiment.add_image(
-                    f"overlay/{frame}", picture, trainer.global_step, dataformats="HWC"
-                )
-
-
-def background(data: CalibrationDataModule, sample: Sample) -> NDArray[np.uint8]:
-    """What to draw points on: the image, or the events however the network is shown them.
-
-    Args:
-        data: where the sample comes from.
-        sample: one of its samples.
-
-    Returns:
-        (H, W, 3) uint8 RGB, of the network's size.
-    """
-    if sample.camera.dtype == torch.uint8:
-        return np.ascontiguousarray(sample.camera.numpy().transpose(1, 2, 0))
-    frame = data.recording.load(sample.frame)
-    events = frame.events
-    assert events is not None
-    return draw_events(
-        events, data.image_size, data.datasets["test"].fit(events.size, frame.K).pixel_map
-    )
+        return sample_panel(data, sample, extrinsics)

@@ -13,12 +13,19 @@ from lightning import LightningModule, Trainer
 
 from uncal import __version__
 from uncal.callbacks.image_blind import ImageBlindControl
-from uncal.data.datamodule import CalibrationDataModule
+from uncal.data.datamodule import WINDOWED, CalibrationDataModule
 from uncal.errors import ConfigurationError
 from uncal.models.module import CalibrationModule
-from uncal.reporting.report import Results, format_report, measure, write_report
+from uncal.reporting.measure import Results, measure
+from uncal.reporting.report import format_report, write_report
 
 log = logging.getLogger(__name__)
+
+SPREAD_NOTES = {
+    "solver": "σ is the covariance of the least-squares solver (mcd.spread=solver).",
+    "total": "σ is dropout's and the solver's, added in quadrature (mcd.spread=total).",
+}
+"""What a table says of a σ that is not the paper's."""
 
 
 class Report(lightning.Callback):
@@ -39,10 +46,7 @@ class Report(lightning.Callback):
 
     @staticmethod
     def of(trainer: Trainer) -> Report:
-        """The report among a trainer's callbacks.
-
-        Args:
-            trainer: after ``test``.
+        """The report among a trainer's callbacks, after ``test``.
 
         Raises:
             ConfigurationError: it was configured away.
@@ -70,6 +74,7 @@ class Report(lightning.Callback):
             bounds=tested.bounds,
             control=None if control is None else control.among(tested.place),
             frames=[str(frames[i]) for i in tested.place.tolist()],
+            ellipsoid=(pl_module.ellipsoid, tested.covariance),
         )
         data.share_skipped()
         if not trainer.is_global_zero:
@@ -85,34 +90,34 @@ class Report(lightning.Callback):
 
 
 def run_notes(module: CalibrationModule, data: CalibrationDataModule) -> list[str]:
-    """What a reader must know to place the numbers.
-
-    Args:
-        module: the tested module.
-        data: the data it was tested on.
-
-    Returns:
-        One sentence each.
-    """
+    """What a reader must know to place the numbers, one sentence each."""
     sizes = ", ".join(f"{len(ids)} {name.replace('_', ' ')}" for name, ids in data.splits.items())
     notes = [
         f"Split by {data.split_by}: {sizes} frames. {_passes(module)}, intervals of kind "
         f"{module.calibrator.kind}, seed {data.seed}, uncal {__version__}.",
     ]
+    if data.window.frames > 1:
+        counts = ", ".join(f"{len(data.units[name])} {name.replace('_', ' ')}" for name in WINDOWED)
+        notes.append(
+            f"One estimate per window of {data.window.frames} consecutive frames ({counts} "
+            "windows): the numbers below count windows, and intervals are calibrated on windows."
+        )
+    if module.spread != "dropout":
+        notes.append(SPREAD_NOTES[module.spread])
     if data.split_note:
         notes.append(data.split_note)
     tested = {frame.rig for frame in data.named("test")}
     others = [ids for name, ids in data.splits.items() if name != "test"]
     if tested.isdisjoint(frame.rig for ids in others for frame in ids):
         notes.append(
-            f"The test frames come from {len(tested)} rig(s) that neither training nor calibration "
-            "has seen. Frames of one rig hang together, so the band of the exact law, which "
-            "supposes exchangeable frames, is only a yardstick here."
+            f"The test frames come from {len(tested)} held-out rig(s), absent from training and "
+            "calibration. Frames of one rig are dependent, so the reference band, which assumes "
+            "exchangeable frames, is for reference only here."
         )
     elif data.split_by != "frame":
         notes.append(
-            "Frames of one drive hang together, so the band of the exact law, which supposes "
-            "exchangeable frames, is only a yardstick here."
+            "Frames of one drive are dependent, so the reference band, which assumes exchangeable "
+            "frames, is for reference only here."
         )
     notes += module.provenance
     return notes
@@ -126,14 +131,7 @@ def _passes(module: CalibrationModule) -> str:
 
 
 def skip_notes(skipped: Mapping[str, str], shown: int = 10) -> list[str]:
-    """How many frames were left out, and the first of them with the reason.
-
-    Args:
-        skipped: frame → reason.
-        shown: how many to list.
-
-    Returns:
-        One sentence each; none if nothing was skipped.
+    """How many frames were skipped, and the first of them with the reason; none without.
 
     >>> skip_notes({"rig/drive/0000000003": "truncated"})
     ['1 frame skipped (all in skipped.csv).', 'Skipped rig/drive/0000000003: truncated']
@@ -146,12 +144,7 @@ def skip_notes(skipped: Mapping[str, str], shown: int = 10) -> list[str]:
 
 
 def write_skipped(path: Path, skipped: Mapping[str, str]) -> None:
-    """Write frame and reason of every skipped frame.
-
-    Args:
-        path: the CSV file.
-        skipped: frame → reason.
-    """
+    """Write frame and reason of every skipped frame."""
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(["frame", "reason"])

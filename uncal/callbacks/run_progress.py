@@ -1,18 +1,19 @@
-"""One progress bar for the whole run, with the time that remains."""
+"""One progress bar for the whole run, with the time that remains; lines in a log."""
 
 from __future__ import annotations
 
-import sys
 from typing import TYPE_CHECKING, NoReturn
 
 import lightning
 from lightning import LightningModule, Trainer
-from tqdm import tqdm
+
+from uncal.progress import progress_bar
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from torch import Tensor
+    from tqdm import tqdm
 
 
 class RunProgress(lightning.Callback):
@@ -69,9 +70,7 @@ class RunProgress(lightning.Callback):
         self._close()
 
     def _open(self, what: str, total: int, done: int) -> None:
-        # A log file does not need ten lines a second.
-        interval = 0.5 if sys.stderr.isatty() else 15.0
-        self._bar = tqdm(desc=what, total=total, initial=done, mininterval=interval, unit="step")
+        self._bar = progress_bar(what, total, done=done)
 
     def _advance(self, **shown: str) -> None:
         if self._bar is not None:

@@ -7,13 +7,17 @@ from collections.abc import Sequence
 
 import lightning
 from lightning import LightningModule, Trainer
+from torch import Tensor
+from torchmetrics import MetricCollection
 
 from uncal.data.datamodule import CalibrationDataModule
 from uncal.errors import ConfigurationError
 from uncal.geometry import DOF_NAMES, DOF_SCALE, DOF_UNITS
-from uncal.metrics.functional import interval_score, mpiw, picp
+from uncal.metrics import MPIW, PICP, IntervalScore
 from uncal.models.inference import predict_split
 from uncal.models.module import CalibrationModule
+from uncal.models.prediction import SplitPrediction
+from uncal.recordings.frame import FrameId
 from uncal.uncertainty.quantile import miscoverage
 
 log = logging.getLogger(__name__)
@@ -43,26 +47,9 @@ class UncertaintyCalibration(lightning.Callback):
         module, data = _ours(trainer, pl_module)
         self._fit(trainer, module, data)
         validation = predict_split(trainer, module, data, "validation", self.monitored)
+        frames = data.named("validation")
         for level in self.levels:
-            intervals = module.calibrator.predict(
-                validation.mean,
-                validation.std,
-                level,
-                groups=validation.groups(data.named("validation"), module.groups),
-                bounds=validation.bounds,
-            )
-            bounds = (intervals.lower, intervals.upper)
-            coverage = picp(*bounds, validation.target)
-            width = mpiw(*bounds)
-            score = interval_score(*bounds, validation.target, float(miscoverage(level)))
-            for j, (name, unit) in enumerate(zip(DOF_NAMES, DOF_UNITS, strict=True)):
-                module.log_dict(
-                    {
-                        f"PICP {level:.0%} (%)/{name}": coverage[j] * 100.0,
-                        f"MPIW {level:.0%}/{name} ({unit})": width[j] * DOF_SCALE[j],
-                        f"IS {level:.0%}/{name} ({unit})": score[j] * DOF_SCALE[j],
-                    }
-                )
+            module.log_dict(interval_metrics(module, validation, frames, level))
 
     def on_test_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Fit unless the calibrator belongs to these weights, passes and rates already."""
@@ -73,11 +60,56 @@ class UncertaintyCalibration(lightning.Callback):
             log.warning("the calibrator belongs to other weights or passes: calibrating anew")
         self._fit(trainer, module, data)
 
+    def on_test_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Log PICP, MPIW and IS of the test split per DoF and level."""
+        module, data = _ours(trainer, pl_module)
+        if module.tested is None:
+            return
+        for level in self.levels:
+            metrics = interval_metrics(module, module.tested, data.named("test"), level)
+            values = {f"test {name}": value.item() for name, value in metrics.items()}
+            for logger in trainer.loggers:
+                logger.log_metrics(values, trainer.global_step)
+
     def _fit(
         self, trainer: Trainer, module: CalibrationModule, data: CalibrationDataModule
     ) -> None:
         split = "uncertainty_calibration"
         module.fit_calibrator(predict_split(trainer, module, data, split), data.named(split))
+
+
+def interval_metrics(
+    module: CalibrationModule,
+    predicted: SplitPrediction,
+    frames: Sequence[FrameId],
+    level: float,
+) -> dict[str, Tensor]:
+    """PICP, MPIW and IS of a split's intervals per DoF: tag → value in percent, cm or degrees.
+
+    Args:
+        module: with a fitted calibrator.
+        predicted: frames of a split.
+        frames: all of that split.
+        level: coverage level in (0, 1).
+    """
+    intervals = module.calibrator.predict(
+        predicted.mean,
+        predicted.std,
+        level,
+        groups=predicted.groups(frames, module.groups),
+        bounds=predicted.bounds,
+    )
+    metrics = MetricCollection(
+        {"PICP": PICP(6), "MPIW": MPIW(6), "IS": IntervalScore(6, float(miscoverage(level)))}
+    )
+    metrics.update(intervals.lower, intervals.upper, predicted.target)
+    found = metrics.compute()
+    tags = {}
+    for j, (name, unit) in enumerate(zip(DOF_NAMES, DOF_UNITS, strict=True)):
+        tags[f"PICP {level:.0%} (%)/{name}"] = found["PICP"][j] * 100.0
+        for metric in ("MPIW", "IS"):
+            tags[f"{metric} {level:.0%}/{name} ({unit})"] = found[metric][j] * DOF_SCALE[j]
+    return tags
 
 
 def _ours(

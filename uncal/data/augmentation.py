@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
+from uncal.data.camera_rotation import rotate_cameras
 from uncal.data.dataset import Batch
 from uncal.edges.sweep import KIND, N_ACROSS, SIDE
+from uncal.errors import ConfigurationError
 
 
 def mirror(batch: Batch, which: Tensor) -> Batch:
@@ -50,11 +53,31 @@ class Augmentation:
         mirror: probability of mirroring a sample left-right.
         brightness: exposure of images varies by a factor within 1 ± this.
         contrast: contrast about an image's mean varies by a factor within 1 ± this.
+        rotation_deg: the camera is turned by up to so many degrees about each of its axes; see
+            :mod:`uncal.data.camera_rotation`.
     """
 
     mirror: float
     brightness: float
     contrast: float
+    rotation_deg: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Check the bounds.
+
+        Raises:
+            ConfigurationError: a number is out of its range.
+        """
+        for key, value, top in (
+            ("mirror", self.mirror, 1.0),
+            ("brightness", self.brightness, 1.0),
+            ("contrast", self.contrast, 1.0),
+            ("rotation_deg", self.rotation_deg, 20.0),
+        ):
+            if not 0.0 <= value <= top:
+                raise ConfigurationError(
+                    f"augmentation.{key}={value}: expected a number in [0, {top:g}]"
+                )
 
     def __call__(self, batch: Batch) -> Batch:
         """Augment a batch with torch's global generator.
@@ -68,6 +91,10 @@ class Augmentation:
         n, device = len(batch.frames), batch.camera.device
         if self.mirror > 0:
             batch = mirror(batch, torch.rand(n, device=device) < self.mirror)
+        if self.rotation_deg > 0:
+            largest = math.radians(self.rotation_deg)
+            angles = (2.0 * torch.rand(n, 3, device=device) - 1.0) * largest
+            batch = rotate_cameras(batch, angles, largest)
         is_image = batch.camera.dtype == torch.uint8
         if is_image and (self.brightness > 0 or self.contrast > 0):
             low = 1.0 - torch.tensor([self.brightness, self.contrast], device=device)

@@ -5,8 +5,7 @@ the image. Along the direction in which it is sharp (columns for an edge between
 one between lasers) a *curve* gives the log-likelihood of each offset. A curve may have several
 peaks, so it is not reduced to its best: under the uncertainty of the pose as it is now, the curve's
 posterior has a mean and a variance, and the Gaussian that turns the prior into that posterior is
-the edge's contribution (assumed-density filtering; Minka 2001, "Expectation propagation", section
-3.1).
+the edge's contribution (assumed-density filtering; Minka 2001, "Expectation propagation", 3.1).
 """
 
 from __future__ import annotations

@@ -7,13 +7,13 @@ from torch import Tensor
 from torch.nn import functional as F
 
 IMAGE_EDGES: tuple[str, ...] = ("mean", "channels")
-"""What edges are gradients of: the channels' mean (an image), or each channel's own (events)."""
+"""Gradients of what: of the channels' mean (an image), or of each channel (events)."""
 
 STRONGEST = 3.0
 """An edge counts at most this many times what is usual around it."""
 
 _FAINT = 0.09
-"""Added to what is usual, in units of the normalised input, lest noise of a plain area be edges."""
+"""Added to what is usual, in units of the input, lest noise in a plain area be an edge."""
 
 
 def edge_maps(camera: Tensor, window: int, image_edges: str = "mean") -> Tensor:
@@ -48,7 +48,7 @@ def edge_maps(camera: Tensor, window: int, image_edges: str = "mean") -> Tensor:
 
 
 def box_mean(x: Tensor, half: int) -> Tensor:
-    """Mean over squares of 2·half + 1 pixels; the border repeats.
+    """Mean over squares of about 2·half + 1 pixels; the border repeats.
 
     Args:
         x: (B, C, H, W).
@@ -57,7 +57,11 @@ def box_mean(x: Tensor, half: int) -> Tensor:
     Returns:
         The same shape.
     """
-    side = 2 * half + 1
-    x = F.pad(x, (half, half, half, half), mode="replicate")
-    # One direction after the other: a square window costs its area, two lines their lengths.
-    return F.avg_pool2d(F.avg_pool2d(x, (1, side), 1), (side, 1), 1)
+    # A wide mean is smooth: a quarter of the pixels will do, one direction after the other.
+    step = min(4, max(1, half // 3))
+    small = F.avg_pool2d(x, step, ceil_mode=True)
+    reach = max(1, round(half / step))
+    side = 2 * reach + 1
+    padded = F.pad(small, (reach, reach, reach, reach), mode="replicate")
+    mean = F.avg_pool2d(F.avg_pool2d(padded, (1, side), 1), (side, 1), 1)
+    return F.interpolate(mean, x.shape[-2:], mode="bilinear", align_corners=False)

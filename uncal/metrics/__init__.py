@@ -1,7 +1,5 @@
 """Metrics of prediction intervals: pure functions and torchmetrics around them."""
 
-from uncal.metrics.bins import CoverageByBin, CoverageByQuantileBin, WorstBinCoverage
-from uncal.metrics.boxes import GeometricMeanWidth, JointPICP, MeanLogVolume, RelativeSize
 from uncal.metrics.calibration_curve import (
     CalibrationError,
     calibration_curve,
@@ -13,7 +11,6 @@ from uncal.metrics.conditional import (
     quantile_edges,
     worst_bin_coverage,
 )
-from uncal.metrics.curves import CalibrationCurve, CalibrationCurveError
 from uncal.metrics.functional import interval_score, mpiw, picp
 from uncal.metrics.intervals import MPIW, PICP, IntervalScore
 from uncal.metrics.joint import (
@@ -28,17 +25,8 @@ __all__ = [
     "MPIW",
     "PICP",
     "BinnedCoverage",
-    "CalibrationCurve",
-    "CalibrationCurveError",
     "CalibrationError",
-    "CoverageByBin",
-    "CoverageByQuantileBin",
-    "GeometricMeanWidth",
     "IntervalScore",
-    "JointPICP",
-    "MeanLogVolume",
-    "RelativeSize",
-    "WorstBinCoverage",
     "calibration_curve",
     "calibration_error",
     "coverage_by_bin",

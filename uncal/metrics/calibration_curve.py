@@ -1,4 +1,4 @@
-"""Coverage found against coverage asked for, over many levels."""
+"""Empirical against nominal coverage, over many levels."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ class CalibrationError(NamedTuple):
     """How far a calibration curve is from the diagonal.
 
     Attributes:
-        absolute: (D,) mean over the levels of |observed - asked|, in 0..1.
-        signed: (D,) mean over the levels of observed - asked; positive: intervals too wide.
+        absolute: (D,) mean over the levels of |empirical - nominal|, in 0..1.
+        signed: (D,) mean over the levels of empirical - nominal; positive: intervals too wide.
     """
 
     absolute: Tensor
@@ -26,9 +26,9 @@ class CalibrationError(NamedTuple):
 def calibration_curve(lower: Tensor, upper: Tensor, target: Tensor) -> Tensor:
     """Observed coverage per output at each of L levels.
 
-    Even a perfect conformal method is not on the diagonal: at each point the exact law
-    (:func:`uncal.uncertainty.coverage_band` at that level) says how far off it may be. The points
-    of one curve stand on the same samples, hence hang together.
+    Even a perfect conformal method is not on the diagonal: at each point the
+    Beta-Binomial law (:func:`uncal.uncertainty.coverage_band` at that level) says how far off it
+    may be. The points of one curve share their samples, hence are dependent.
 
     Args:
         lower: (L, n, D) lower bounds, one set of intervals per level; -inf allowed.
@@ -55,7 +55,7 @@ def calibration_error(observed: Tensor, levels: Sequence[float]) -> CalibrationE
 
     Args:
         observed: (L, D) :func:`calibration_curve`.
-        levels: L coverage levels that were asked for, in (0, 1).
+        levels: L nominal levels, in (0, 1).
 
     Returns:
         The mean absolute and the mean signed distance, both (D,).
@@ -73,8 +73,8 @@ def calibration_error(observed: Tensor, levels: Sequence[float]) -> CalibrationE
             f"a curve of shape {tuple(observed.shape)} for {len(levels)} levels; expected "
             f"({len(levels)}, D), one row per level."
         )
-    asked = torch.tensor(list(levels), dtype=observed.dtype, device=observed.device)
-    distance = observed - asked[:, None]
+    nominal = torch.tensor(list(levels), dtype=observed.dtype, device=observed.device)
+    distance = observed - nominal[:, None]
     return CalibrationError(distance.abs().mean(0), distance.mean(0))
 
 

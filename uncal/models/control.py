@@ -9,12 +9,12 @@ from dataclasses import dataclass
 import torch
 from lightning import Trainer
 from torch import Tensor
-from tqdm import tqdm
 
 from uncal.data.datamodule import CalibrationDataModule
 from uncal.data.dataset import Batch, FrameDataset, Sample
 from uncal.models.module import CalibrationModule
 from uncal.models.prediction import frame_seed
+from uncal.progress import watched
 from uncal.recordings.frame import FrameId
 from uncal.uncertainty.dropout import only_active
 from uncal.uncertainty.gather import gather_by_id
@@ -128,7 +128,7 @@ def _estimate(
     parts: list[tuple[Tensor, Tensor]] = []
     loader = data.loader_of(split, order=mine)
     quiet = not trainer.is_global_zero
-    bar = tqdm(loader, desc=f"image-blind, {split}", leave=False, mininterval=0.5, disable=quiet)
+    bar = watched(loader, f"image-blind, {split}", quiet=quiet)
     before: Tensor | None = None
     with torch.inference_mode(), only_active(module, []):
         for loaded in bar:

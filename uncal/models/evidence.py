@@ -89,10 +89,12 @@ class EvidenceNetwork(nn.Module):
         self.features = features
         self.reach = tuple(reach)
         half, quarter, eighth = widths
-        # Two by two pixels as channels of one: wide maps at half size cost a CPU a sixth of
-        # narrow ones at full size.
+        # Wide maps at half size cost a CPU a sixth of narrow ones at full size.
         self.stem = nn.Sequential(
-            _convolution(4 * (camera_channels + FIXED), half), _convolution(half, half)
+            nn.Conv2d(camera_channels + FIXED, half, 4, 2, 1, bias=False),
+            nn.BatchNorm2d(half),
+            nn.ReLU(inplace=True),
+            _convolution(half, half),
         )
         self.quarter = nn.Sequential(_convolution(half, quarter, 2), _convolution(quarter, quarter))
         self.eighth = nn.Sequential(_convolution(quarter, eighth, 2), _convolution(eighth, eighth))
@@ -103,7 +105,7 @@ class EvidenceNetwork(nn.Module):
             [
                 nn.Conv2d(quarter, features, 1),
                 nn.Conv2d(half, features, 1),
-                nn.Conv2d(half, 4 * features, 1),
+                nn.ConvTranspose2d(half, features, 2, 2),
             ]
         )
         self.queries = nn.ModuleList(_perceptron(features + FIXED) for _ in STRIDES)
@@ -111,32 +113,34 @@ class EvidenceNetwork(nn.Module):
         self.channel_dropout = FastDropout(channel_dropout)
         self.evidence_dropout = FastDropout(evidence_dropout)
 
-    def describe(self, x: Tensor) -> list[Tensor]:
+    def describe(self, x: Tensor) -> list[tuple[Tensor, Tensor]]:
         """Features of the image.
 
         Args:
             x: (B, C, H, W) network input; H and W multiples of 8.
 
         Returns:
-            (B, features + 2, H/s, W/s) for each stride s of :data:`STRIDES`.
+            Learned (B, features, H/s, W/s) and fixed ones (B, 2, H/s, W/s) for each stride s of
+            :data:`STRIDES`.
         """
         camera = x[:, : self.camera_channels]
         with torch.no_grad():
             edges = edge_maps(camera, self.window, self.image_edges)
         full = torch.cat([camera, edges], 1)
-        half = self.stem(F.pixel_unshuffle(full, 2).contiguous(memory_format=torch.channels_last))
+        half = self.stem(full.contiguous(memory_format=torch.channels_last))
         quarter = self.quarter(half)
         eighth = self.eighth(quarter)
         quarter = self.join_quarter(F.relu(quarter + _doubled(self.to_quarter(eighth), quarter)))
         half = F.relu(half + _doubled(self.to_half(quarter), half))
-        fine = F.pixel_shuffle(self.heads[2](half), 2)
-        learned = [self.heads[0](quarter), self.heads[1](half), fine]
+        learned = [head(maps) for head, maps in zip(self.heads, (quarter, half, half), strict=True)]
         return [
-            torch.cat([maps, edges if s == 1 else F.avg_pool2d(edges, s)], 1).float()
+            (maps.float(), edges if s == 1 else F.avg_pool2d(edges, s))
             for maps, s in zip(learned, STRIDES, strict=True)
         ]
 
-    def read(self, maps: list[Tensor], projected: ProjectedEdges, level: int) -> Tensor:
+    def read(
+        self, maps: list[tuple[Tensor, Tensor]], projected: ProjectedEdges, level: int
+    ) -> Tensor:
         """Features around every edge, before any dropout.
 
         Args:
@@ -147,9 +151,8 @@ class EvidenceNetwork(nn.Module):
         Returns:
             (B, features + 2, M, 2·reach + 1).
         """
-        return profiles(
-            maps[level], projected.pixels, projected.along, STRIDES[level], self.reach[level]
-        )
+        at = projected.pixels, projected.along, STRIDES[level], self.reach[level]
+        return torch.cat([profiles(part, *at) for part in maps[level]], 1)
 
     def curves(
         self, read: Tensor, edges: Tensor, K: Tensor, projected: ProjectedEdges, level: int
@@ -172,7 +175,8 @@ class EvidenceNetwork(nn.Module):
         strength = edges[..., STRENGTH].nan_to_num().clamp(0.02, 1.0).sqrt() * self.gain[level]
         fixed = torch.stack([1.0 - projected.along, projected.along], -1) * strength[..., None]
         query = query + F.pad(fixed, (self.features, 0))
-        curves = torch.einsum("bmc,bcmr->bmr", query, read)
+        # Not a matrix product: one of a row and a small matrix per edge is slower than the sum.
+        curves = (query.transpose(1, 2)[..., None] * read).sum(1)
         return curves, projected.seen * self._kept(projected)
 
     def attributes(self, edges: Tensor, K: Tensor, projected: ProjectedEdges) -> Tensor:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import torch
 from lightning import Trainer
-from tqdm import tqdm
 
 from uncal.data.datamodule import CalibrationDataModule
 from uncal.models.module import CalibrationModule
 from uncal.models.prediction import SplitPrediction, join_predictions
+from uncal.progress import watched
 
 
 def predict_split(
@@ -36,7 +36,7 @@ def predict_split(
     parts: list[SplitPrediction] = []
     loader = data.loader_of(split, most, share=(trainer.global_rank, trainer.world_size))
     quiet = not trainer.is_global_zero
-    bar = tqdm(loader, desc=f"MC dropout, {split}", leave=False, mininterval=0.5, disable=quiet)
+    bar = watched(loader, f"MC dropout, {split}", quiet=quiet)
     with torch.inference_mode():
         for batch in bar:
             inputs = data.on_after_batch_transfer(batch.to(module.device), 0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Callable, Iterable, Sequence
 from typing import cast
@@ -21,12 +22,16 @@ from uncal.models.prediction import SplitPrediction, frame_seed, join_prediction
 from uncal.recordings.frame import FrameId
 from uncal.uncertainty.calibrator import IntervalCalibrator
 from uncal.uncertainty.dropout import only_active
+from uncal.uncertainty.ellipsoid import EllipsoidCalibrator
+from uncal.uncertainty.errors import UncertaintyError
 from uncal.uncertainty.gather import gather_by_id
 from uncal.uncertainty.masks import FixedMasks
 from uncal.uncertainty.mc_dropout import MCDropout, Prediction
 from uncal.uncertainty.pass_memory import PassMemory
 
-NOT_LEARNT = ("calibrator.", "masks.")
+log = logging.getLogger(__name__)
+
+NOT_LEARNT = ("calibrator.", "ellipsoid.", "masks.")
 """Parts of the state that no training changes."""
 
 
@@ -66,6 +71,7 @@ class CalibrationModule(lightning.LightningModule):
         self.engine = engine(self._estimator.repeated, self.masks)
         self.engine.keep_samples = True
         self.calibrator = calibrator
+        self.ellipsoid = EllipsoidCalibrator()
         self.groups = groups
         self.mask_seed = mask_seed
         self.memory: PassMemory | None = None
@@ -152,6 +158,12 @@ class CalibrationModule(lightning.LightningModule):
             bounds=scores.bounds,
             identity=self.engine.identity(),
         )
+        try:
+            self.ellipsoid.fit(
+                scores.mean, scores.covariance, scores.target, identity=self.engine.identity()
+            )
+        except UncertaintyError as error:
+            log.info("no joint ellipsoid: %s", error)
 
     def training_step(self, batch: NetworkInput | None, batch_idx: int) -> Tensor | None:
         """One optimisation step; a batch without a readable frame is passed over."""

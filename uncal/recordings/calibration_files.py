@@ -11,7 +11,7 @@ the colour cameras of KITTI it is some 3 mm off the projection that KITTI define
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -30,10 +30,12 @@ class CameraCalibration:
     Attributes:
         K: (3, 3) camera matrix, pixels.
         T_cam_lidar: (4, 4) true extrinsic, LiDAR → this camera, metres.
+        size: (H, W) of the images that K is for, pixels; None where the files do not say.
     """
 
     K: NDArray[np.float64]
     T_cam_lidar: NDArray[np.float64]
+    size: tuple[int, int] | None = None
 
 
 def read_calibration_file(path: Path) -> dict[str, NDArray[np.float64]]:
@@ -91,7 +93,8 @@ def raw_calibration(date_folder: Path, camera: int) -> CameraCalibration:
     T_rect0_cam0 = np.eye(4)
     T_rect0_cam0[:3, :3] = _rotation(cameras, "R_rect_00", cameras_path)
     projection = _matrix(cameras, f"P_rect_0{camera}", (3, 4), cameras_path)
-    return _from_projection(projection, T_rect0_cam0 @ T_cam0_lidar, cameras_path)
+    calibration = _from_projection(projection, T_rect0_cam0 @ T_cam0_lidar, cameras_path)
+    return replace(calibration, size=_size(cameras, f"S_rect_0{camera}", cameras_path))
 
 
 def odometry_calibration(path: Path, camera: int) -> CameraCalibration:
@@ -134,6 +137,14 @@ def _from_projection(
     T_cam_rect0 = np.eye(4)
     T_cam_rect0[:3, 3] = np.linalg.solve(K, projection[:, 3])
     return CameraCalibration(K=K, T_cam_lidar=T_cam_rect0 @ T_rect0_lidar)
+
+
+def _size(values: dict[str, NDArray[np.float64]], key: str, path: Path) -> tuple[int, int] | None:
+    """(H, W) of the images after rectification; the file has width first."""
+    if key not in values:
+        return None
+    width, height = _matrix(values, key, (2,), path)
+    return round(height), round(width)
 
 
 def _matrix(

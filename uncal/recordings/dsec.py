@@ -133,6 +133,7 @@ class Dsec:
         if isinstance(calibration, RecordingError):
             raise calibration
         rectify_map = read_rectify_map(folder.rectify_map(side))
+        _check_size(calibration, rectify_map, folder, side)
         # The sequences of one rig share theirs: 2.5 MB, in every worker.
         digest = hashlib.sha256(rectify_map.tobytes()).digest()
         rectify_map = self._maps.setdefault(digest, rectify_map)
@@ -195,6 +196,21 @@ def _check(window_ms: float, min_events: int, side: str, stride: int, scan_time:
     if scan_time not in SCAN_TIMES:
         raise ConfigurationError(
             f"scan_time is '{scan_time}', expected one of {', '.join(SCAN_TIMES)}."
+        )
+
+
+def _check_size(
+    calibration: CameraCalibration,
+    rectify_map: NDArray[np.float32],  # (H, W, 2)
+    folder: SequenceFolder,
+    side: str,
+) -> None:
+    found, expected = rectify_map.shape[:2], calibration.size
+    if expected is not None and found != expected:
+        raise RecordingError(
+            f"{folder.rectify_map(side)} is for {found[1]}×{found[0]} pixels, but "
+            f"{folder.cam_to_cam} has resolution {expected[1]}×{expected[0]}: they are of "
+            "different recordings. Restore both from DSEC's archives."
         )
 
 

@@ -67,6 +67,7 @@ def event_camera_calibration(
     return CameraCalibration(
         K=np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], dtype=np.float64),
         T_cam_lidar=T_rect_rect1 @ np.linalg.inv(T_lidar_rect1),
+        size=_resolution(cameras, number, cam_to_cam),
     )
 
 
@@ -103,6 +104,18 @@ def _numbers(
             f"{path}: '{'.'.join(keys)}' is {content}, expected finite numbers of shape {shape}."
         )
     return numbers
+
+
+def _resolution(cameras: object, number: int, path: Path) -> tuple[int, int] | None:
+    """(H, W) of the rectified camera; the file has width first, or does not say."""
+    keys = ("intrinsics", f"camRect{number}")
+    node = cameras
+    for key in keys:
+        node = node.get(key) if isinstance(node, Mapping) else None
+    if not isinstance(node, Mapping) or "resolution" not in node:
+        return None
+    width, height = _numbers(cameras, (*keys, "resolution"), (2,), path)
+    return round(float(height)), round(float(width))
 
 
 def _transform(content: object, keys: tuple[str, ...], path: Path) -> NDArray[np.float64]:

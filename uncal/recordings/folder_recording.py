@@ -10,10 +10,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from uncal.errors import ConfigurationError, RecordingError
+from uncal.errors import ConfigurationError, FrameError, RecordingError
 from uncal.recordings.calibration_files import CameraCalibration
 from uncal.recordings.folder_listing import list_indices
 from uncal.recordings.frame import Frame, FrameId
+from uncal.recordings.image_sizes import usual_size
 from uncal.recordings.sensor_files import read_image, read_scan
 
 
@@ -75,6 +76,7 @@ class FolderRecording:
         self.skipped: dict[str, str] = {}
         self._drives = {(drive.rig, drive.drive): drive for drive in drives}
         self._times: dict[tuple[str, str], NDArray[np.float64]] = {}
+        self._sizes: dict[tuple[str, str], tuple[int, int] | None] = {}
         for drive in self._drives.values():
             self._list_drive(drive, stride)
         if not self.frame_ids:
@@ -90,7 +92,8 @@ class FolderRecording:
             The frame; non-finite points are dropped and counted.
 
         Raises:
-            FrameError: the image or the scan is missing, truncated or unreadable.
+            FrameError: the image or the scan is missing, truncated or unreadable, or the image
+                has another size than the one that the calibration is for.
             RecordingError: the recording has no such drive.
         """
         key = (frame_id.rig, frame_id.drive)
@@ -101,9 +104,11 @@ class FolderRecording:
             )
         drive = self._drives[key]
         points, n_dropped = read_scan(drive.scan_path(frame_id.index))
+        image = read_image(drive.image_path(frame_id.index))
+        self._check_size(drive, image, frame_id.index)
         return Frame(
             id=frame_id,
-            image=read_image(drive.image_path(frame_id.index)),
+            image=image,
             points=points,
             K=drive.calibration.K.copy(),
             T_cam_lidar=drive.calibration.T_cam_lidar.copy(),
@@ -122,6 +127,23 @@ class FolderRecording:
                 self.skipped[str(frame_id)] = f"image missing: {drive.image_path(index)}"
             else:
                 self.frame_ids.append(frame_id)
+
+    def _check_size(self, drive: DriveFolder, image: NDArray[np.uint8], index: int) -> None:
+        """Refuse an image that the drive's camera matrix is not for, such as a crop."""
+        key = (drive.rig, drive.drive)
+        if key not in self._sizes:
+            numbers = sorted(list_indices(drive.images, drive.digits, ".png"))
+            self._sizes[key] = drive.calibration.size or usual_size(
+                [drive.image_path(number) for number in numbers]
+            )
+        expected, found = self._sizes[key], image.shape[:2]
+        if expected is not None and found != expected:
+            said = "its calibration (S_rect) says" if drive.calibration.size else "most others have"
+            raise FrameError(
+                f"{drive.image_path(index)}: {found[1]}×{found[0]} pixels, but {said} "
+                f"{expected[1]}×{expected[0]}: cropped or resized, its camera matrix does not "
+                "hold. Restore the image, or adapt the calibration to it."
+            )
 
     def _time(self, drive: DriveFolder, index: int) -> float:
         key = (drive.rig, drive.drive)

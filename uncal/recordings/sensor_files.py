@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 
 from uncal.errors import FrameError
 
+_TO_RGB = {1: cv2.COLOR_GRAY2RGB, 3: cv2.COLOR_BGR2RGB, 4: cv2.COLOR_BGRA2RGB}
+"""Channels as OpenCV reads them → what makes RGB of them."""
+
 _POINT_BYTES = 16
 """x, y, z, reflectance as float32."""
 
@@ -21,19 +24,29 @@ def read_image(path: Path) -> NDArray[np.uint8]:
         path: the image file.
 
     Returns:
-        (H, W, 3) uint8 RGB; grey images are repeated over the three channels.
+        (H, W, 3) uint8 RGB. Grey is repeated over the three channels, transparency is left out,
+        and of 16 bits the upper 8 are kept: full scale stays full scale. The pixels are those of
+        the file; a rotation that its metadata ask for would not be the camera's.
 
     Raises:
-        FrameError: the file is missing, empty, truncated or no image.
+        FrameError: the file is missing, empty, truncated, no image, or of another depth.
     """
     encoded = _read_bytes(path)
-    image = cv2.imdecode(encoded, cv2.IMREAD_COLOR) if encoded.size else None
+    image = cv2.imdecode(encoded, cv2.IMREAD_UNCHANGED) if encoded.size else None
     if image is None:
         raise FrameError(
             f"{path}: not a readable image ({encoded.size} bytes); "
             "truncated or damaged, copy it again."
         )
-    return cv2.cvtColor(image, cv2.COLOR_BGR2RGB).astype(np.uint8, copy=False)
+    if image.dtype == np.uint16:
+        image = (image >> 8).astype(np.uint8)
+    channels = 1 if image.ndim == 2 else image.shape[2]
+    if image.dtype != np.uint8 or channels not in _TO_RGB:
+        raise FrameError(
+            f"{path}: {channels} channels of {image.dtype}, expected grey, RGB or RGBA of 8 or 16 "
+            "bits a channel; convert it."
+        )
+    return cv2.cvtColor(image, _TO_RGB[channels]).astype(np.uint8, copy=False)
 
 
 def read_scan(path: Path) -> tuple[NDArray[np.float32], int]:

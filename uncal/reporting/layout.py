@@ -8,34 +8,21 @@ import math
 import secrets
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeAlias
 
-
-@dataclass(frozen=True)
-class Section:
-    """A small table under the main one.
-
-    Attributes:
-        title: what it shows.
-        grid: rows of cells, the first the header; the first column names the rows.
-        notes: sentences to print below.
-    """
-
-    title: str
-    grid: Sequence[Sequence[str]]
-    notes: Sequence[str] = ()
+Grid: TypeAlias = list[list[str]]
+"""Rows of cells, the first the header; the first column names the rows."""
 
 
 def markdown_lines(grid: Sequence[Sequence[str]]) -> list[str]:
     """A grid as a Markdown table, numbers to the right.
 
-    Args:
-        grid: rows of cells, the first the header.
-
     >>> markdown_lines([["", "X"], ["MAE", "1.0"]])
     ['|  | X |', '| :-- | --: |', '| MAE | 1.0 |']
     """
+    if not grid:
+        return []
     header, *body = grid
     rule = [":--"] + ["--:"] * (len(header) - 1)
     escaped = [[cell.replace("|", "\\|") for cell in line] for line in (header, rule, *body)]
@@ -87,10 +74,6 @@ def csv_text(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
 def write_whole(path: Path, text: str) -> Path:
     """Write a file whole or not at all: a reader never sees half a table.
 
-    Args:
-        path: the file, in a folder that exists.
-        text: its content.
-
     Returns:
         The path.
     """
@@ -105,9 +88,6 @@ def replaced_whole(path: Path) -> Iterator[Path]:
 
     Jobs of a multirun write the same summary at the same time, on several machines even: each
     gets a file of its own, and the last to end stays.
-
-    Args:
-        path: the file, in a folder that exists.
     """
     partial = path.with_name(f".{path.name}.{secrets.token_hex(4)}.partial")
     try:
@@ -120,13 +100,18 @@ def replaced_whole(path: Path) -> Iterator[Path]:
 def number(value: float | None, digits: int) -> str:
     """A number for a cell: "–" for none or NaN, "∞" for infinite.
 
-    Args:
-        value: the number.
-        digits: after the point.
-
     >>> number(1.25, 1), number(float("inf"), 1), number(None, 1)
     ('1.2', '∞', '–')
     """
     if value is None or math.isnan(value):
         return "–"
     return "∞" if math.isinf(value) else f"{value:.{digits}f}"
+
+
+def length(value: float | None, unit: str) -> str:
+    """Tenths of a millimetre, thousandths of a degree.
+
+    >>> length(1.234, "cm"), length(0.5, "°"), length(None, "cm")
+    ('1.23', '0.500', '–')
+    """
+    return number(value, 2 if unit == "cm" else 3)

@@ -26,11 +26,6 @@ STRONGEST = 0.6
 def draw_events(events: Events, size: tuple[int, int], pixel_map: PixelMap) -> NDArray[np.uint8]:
     """The events of a window, summed over time: blue got brighter, orange darker, white nothing.
 
-    Args:
-        events: the window.
-        size: (H, W) of the picture, pixels.
-        pixel_map: from the events' coordinates to the picture's.
-
     Returns:
         (H, W, 3) uint8 RGB.
 

@@ -1,118 +1,64 @@
-"""Everything that a test says: measured once, written to files, shown on the terminal."""
+"""The report of a run: its CSV files, results.md, and the table on the terminal."""
 
 from __future__ import annotations
 
+import math
+import textwrap
 from collections.abc import Mapping, Sequence
-from dataclasses import astuple, dataclass, fields
+from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from torch import Tensor
-
-from uncal.reporting.conditional_rows import (
-    ConditionalRow,
-    conditional_rows,
-    conditional_section,
+from uncal.reporting.evaluation import BAND_CONFIDENCE
+from uncal.reporting.frames import (
+    CONDITIONAL,
+    CONTROL,
+    CURVE,
+    JOINT,
+    PREDICTIONS,
+    RESULTS,
+    write_csv,
 )
-from uncal.reporting.control_rows import (
-    ControlRow,
+from uncal.reporting.layout import Grid, aligned_lines, length, markdown_lines, number, write_whole
+from uncal.reporting.measure import Results
+from uncal.reporting.sections import (
+    conditional_section,
     contribution_cells,
     contribution_line,
     contribution_note,
-    control_rows,
     control_section,
+    curve_section,
+    joint_section,
 )
-from uncal.reporting.curve_rows import CurveRow, curve_rows, curve_section
-from uncal.reporting.joint_rows import JointRow, joint_rows, joint_section
-from uncal.reporting.layout import csv_text, write_whole
-from uncal.reporting.prediction_rows import PredictionRow, prediction_rows, write_predictions
-from uncal.reporting.predictions import Predictions, Promise, promise_of
-from uncal.reporting.rows import ResultRow, Summary, results_table, summarise
-from uncal.reporting.tables import format_terminal, write_results
-from uncal.uncertainty.calibrator import IntervalCalibrator
+from uncal.uncertainty.quantile import samples_needed
 
 if TYPE_CHECKING:
-    from uncal.models.control import ControlPrediction
+    import pandas as pd
 
-_FILES_NOTE = (
+TERMINAL_WIDTH = 110
+
+_FILES_NOTES = (
+    "`results.csv` has the same numbers unrounded, one row per DoF and level: `level`, "
+    "`picp`, `coverage_low`, `coverage_high` in percent, the others in the row's `unit`.",
     "`joint.csv`, `conditional.csv` and `calibration_curve.csv` have the numbers of the tables "
-    "below unrounded, for all levels and with their bands."
+    "below unrounded, for all levels and with their reference bands.",
 )
 
 _CONTROL_FILE_NOTE = (
     "What the camera contributes is explained below; `control.csv` has the numbers unrounded."
 )
 
+_NO_LAW = {
+    "none": "This interval method guarantees no coverage. The band columns of the CSV files are "
+    "the reference bands of split conformal intervals.",
+    "by group": "This interval method guarantees coverage by group, to which the Beta-Binomial "
+    "law of pooled frames does not apply: the band columns of the CSV files are for reference "
+    "only.",
+}
 
-@dataclass(frozen=True)
-class Results:
-    """What was measured on a test set.
-
-    Attributes:
-        rows: per level and DoF, the paper's table.
-        summary: errors of the whole pose.
-        joint: per level, all six DoF at once.
-        conditional: coverage by σ and by size of the decalibration.
-        curve: coverage from 5% to 95%.
-        promise: what the interval method promises.
-        control: per DoF, what the camera contributes; None where no control was run.
-        predictions: per frame and DoF; None where the frames have no names.
-    """
-
-    rows: Sequence[ResultRow]
-    summary: Summary
-    joint: Sequence[JointRow]
-    conditional: Sequence[ConditionalRow]
-    curve: Sequence[CurveRow]
-    promise: Promise
-    control: Sequence[ControlRow] | None = None
-    predictions: Sequence[PredictionRow] | None = None
-
-
-def measure(
-    mean: Tensor,
-    std: Tensor,
-    target: Tensor,
-    calibrator: IntervalCalibrator,
-    levels: Sequence[float],
-    *,
-    groups: Sequence[str] | None = None,
-    bounds: tuple[Tensor, Tensor] | None = None,
-    control: ControlPrediction | None = None,
-    frames: Sequence[str] | None = None,
-) -> Results:
-    """Measure everything that the report shows.
-
-    Args:
-        mean: (n, 6) estimated decalibration, metres and radians.
-        std: (n, 6) σ of the estimate.
-        target: (n, 6) true decalibration.
-        calibrator: fitted on the uncertainty calibration set.
-        levels: coverage levels in (0, 1); the first is the one shown by bins.
-        groups: n labels, where the calibrator needs them.
-        bounds: (n, 6) lower and upper quantile outputs, where the calibrator needs them.
-        control: the image-blind control on the same frames.
-        frames: n names of the frames, for the single predictions.
-
-    Raises:
-        UncertaintyError: the predictions or a level allow no interval.
-        NotCalibratedError: the calibrator is not fitted.
-        ValueError: no levels, shapes other than (n, 6), values that are not finite, or not one
-            label or name per sample.
-    """
-    rows = results_table(mean, std, target, calibrator, levels, groups=groups, bounds=bounds)
-    tested = Predictions.of(mean, std, target, groups, bounds)
-    mae_after = {row.dof: row.mae_after for row in rows}
-    return Results(
-        rows=rows,
-        summary=summarise(mean, target, int(calibrator.count)),
-        joint=joint_rows(tested, calibrator, levels),
-        conditional=conditional_rows(tested, calibrator, levels),
-        curve=curve_rows(tested, calibrator),
-        promise=promise_of(calibrator),
-        control=None if control is None else control_rows(control, list(mae_after.values())),
-        predictions=None if frames is None else prediction_rows(tested, calibrator, levels, frames),
-    )
+_TOO_FEW_GROUPS = (
+    "∞: too few groups, or frames of a group, in the uncertainty calibration set for that level."
+)
 
 
 def write_report(
@@ -123,55 +69,38 @@ def write_report(
     notes: Sequence[str] = (),
     extra: Mapping[str, str] | None = None,
 ) -> tuple[Path, ...]:
-    """Write all tables, each whole or not at all; floats in a csv read back exactly.
+    """Write all tables, each whole or not at all; floats in a CSV read back exactly.
 
-    ``results.csv`` (:class:`ResultRow`), ``results.md`` (for people), ``joint.csv``
-    (:class:`JointRow`), ``conditional.csv`` (:class:`ConditionalRow`), ``calibration_curve.csv``
-    (:class:`CurveRow`) and, if they were measured, ``control.csv`` (:class:`ControlRow`) and
-    ``predictions.csv`` (:class:`PredictionRow`): a class's attributes say what the columns mean.
-    Of the last two, files of an earlier run are removed if this one has none.
+    ``control.csv`` and ``predictions.csv`` of an earlier run are removed if this one has none.
 
     Args:
         folder: the run's folder; made if it is not there.
-        results: :func:`measure`.
+        results: :func:`uncal.reporting.measure.measure`.
         label: what data this is, for the heading, such as "simulated".
         notes: sentences to print below the main table.
         extra: further named lines of the summary.
 
     Returns:
-        The paths, in the order above.
+        The paths: results.csv, results.md, joint.csv, conditional.csv, calibration_curve.csv and,
+        where they were measured, control.csv and predictions.csv.
     """
-    control = results.control
-    sections = [
-        *([] if control is None else [control_section(control)]),
-        joint_section(results.joint, results.promise),
-        conditional_section(results.conditional),
-        curve_section(results.curve, results.promise),
-    ]
-    table, text = write_results(
-        folder,
-        results.rows,
-        results.summary,
-        label=label,
-        notes=[*notes, _FILES_NOTE, *([] if control is None else [_CONTROL_FILE_NOTE])],
-        extra=extra,
-        sections=sections,
-        promise=results.promise,
-        more=[] if control is None else [contribution_cells(control)],
-    )
-    written = [
-        table,
-        text,
-        _write_csv(folder / "joint.csv", results.joint),
-        _write_csv(folder / "conditional.csv", results.conditional),
-        _write_csv(folder / "calibration_curve.csv", results.curve),
-    ]
-    for name in ("control.csv", "predictions.csv"):
-        (folder / name).unlink(missing_ok=True)
-    if control is not None:
-        written.append(_write_csv(folder / "control.csv", control))
-    if results.predictions is not None:
-        written.append(write_predictions(folder / "predictions.csv", results.predictions))
+    folder.mkdir(parents=True, exist_ok=True)
+    tables = {
+        RESULTS: results.per_dof,
+        JOINT: results.joint,
+        CONDITIONAL: results.conditional,
+        CURVE: results.curve,
+        CONTROL: results.control,
+        PREDICTIONS: results.predictions,
+    }
+    written = []
+    for schema, frame in tables.items():
+        if frame is None:
+            (folder / schema.file).unlink(missing_ok=True)
+        else:
+            written.append(write_csv(folder / schema.file, frame))
+    text = _markdown(results, label, notes, extra or {})
+    written.insert(1, write_whole(folder / "results.md", text))
     return tuple(written)
 
 
@@ -182,30 +111,120 @@ def format_report(
     notes: Sequence[str] = (),
     extra: Mapping[str, str] | None = None,
 ) -> str:
-    """The main table and that of the whole pose as aligned plain text.
+    """The main table and that of the whole pose as plain text, :data:`TERMINAL_WIDTH` wide.
 
     Args:
-        results: :func:`measure`.
+        results: :func:`uncal.reporting.measure.measure`.
         label: what data this is, for the heading, such as "simulated".
         notes: sentences to print below the main table.
         extra: further named lines of the summary.
     """
     control = results.control
-    return format_terminal(
-        results.rows,
-        results.summary,
-        label=label,
-        notes=[*([] if control is None else [contribution_note(control)]), *notes],
-        extra={**({} if control is None else contribution_line(control)), **(extra or {})},
-        sections=[joint_section(results.joint, results.promise)],
-        promise=results.promise,
-        more=[] if control is None else [contribution_cells(control)],
+    summary = {**({} if control is None else contribution_line(control)), **(extra or {})}
+    explained = [*([] if control is None else [contribution_note(control)]), *notes]
+    grid = main_grid(results)
+    heading = f"Results on {label} data"
+    gaps = [index for index, line in enumerate(grid) if " PICP" in line[0]]
+    lines = [heading, "=" * len(heading), _sizes(results), "", *aligned_lines(grid, gaps=gaps), ""]
+    lines += _wrapped(_summary_lines(results, summary))
+    lines += _wrapped([*_explanations(results), *explained])
+    pose = joint_section(results.joint, results.guarantee)
+    lines += ["", pose.title, "-" * len(pose.title), *aligned_lines(pose.grid), ""]
+    return "\n".join([*lines, *_wrapped(pose.notes)])
+
+
+def main_grid(results: Results) -> Grid:
+    """The paper's table, DoF as columns: a heading, the errors, three lines per level."""
+    exact = results.guarantee == "exact"
+    by_level = list(results.per_dof.groupby("level", sort=False))
+    errors = by_level[0][1]
+    units = list(errors["unit"])
+
+    def lengths(frame: pd.DataFrame, column: str) -> list[str]:
+        return [length(v, unit) for v, unit in zip(frame[column], units, strict=True)]
+
+    grid = [
+        ["", *(f"{dof} ({unit})" for dof, unit in zip(errors["dof"], units, strict=True))],
+        ["MAE before", *lengths(errors, "mae_before")],
+        ["MAE after", *lengths(errors, "mae_after")],
+        ["after / before", *(number(v, 2) for v in errors["ratio"])],
+        *([] if results.control is None else [contribution_cells(results.control)]),
+    ]
+    for level, rows in by_level:
+        low, high = rows["coverage_low"].iloc[0], rows["coverage_high"].iloc[0]
+        band = f", reference band {low:.1f}-{high:.1f}" if exact else ""
+        marks = ["*" if exact and not inside else "" for inside in rows["in_band"]]
+        picp = [f"{v:.1f}{mark}" for v, mark in zip(rows["picp"], marks, strict=True)]
+        grid += [
+            [f"{level:g}% PICP{band} (%)", *picp],
+            [f"{level:g}% MPIW", *lengths(rows, "mpiw")],
+            [f"{level:g}% IS", *lengths(rows, "is")],
+        ]
+    return grid
+
+
+def _markdown(results: Results, label: str, notes: Sequence[str], extra: Mapping[str, str]) -> str:
+    control = results.control
+    lines = [f"# Results on {label} data", "", _sizes(results), ""]
+    lines += [*markdown_lines(main_grid(results)), ""]
+    lines += [f"- {text}" for text in _summary_lines(results, extra)] + [""]
+    about_files = [*_FILES_NOTES, *([] if control is None else [_CONTROL_FILE_NOTE])]
+    lines += [f"- {text}" for text in (*_explanations(results), *notes, *about_files)]
+    for section in (
+        *([] if control is None else [control_section(control)]),
+        joint_section(results.joint, results.guarantee),
+        conditional_section(results.conditional),
+        curve_section(results.curve, results.guarantee),
+    ):
+        lines += ["", f"## {section.title}", "", *markdown_lines(section.grid), ""]
+        lines += [f"- {note}" for note in section.notes]
+    return "\n".join(lines) + "\n"
+
+
+def _wrapped(texts: Sequence[str]) -> list[str]:
+    return [textwrap.fill(text, TERMINAL_WIDTH, subsequent_indent="  ") for text in texts]
+
+
+def _sizes(results: Results) -> str:
+    return (
+        f"{results.summary.n_test} frames in the test set, "
+        f"{results.summary.n_calibration} in the uncertainty calibration set."
     )
 
 
-def _write_csv(
-    path: Path,
-    rows: Sequence[JointRow] | Sequence[ConditionalRow] | Sequence[CurveRow] | Sequence[ControlRow],
-) -> Path:
-    columns = [field.name for field in fields(rows[0])]
-    return write_whole(path, csv_text(columns, (astuple(row) for row in rows)))
+def _summary_lines(results: Results, extra: Mapping[str, str]) -> list[str]:
+    summary = results.summary
+    return [
+        f"Mean over the DoF of MAE after / before: {number(summary.mean_ratio, 3)}",
+        f"Mean translation error: {summary.translation_after:.2f} cm "
+        f"(decalibration: {summary.translation_before:.2f} cm)",
+        f"Mean rotation error: {summary.rotation_after:.3f}° "
+        f"(decalibration: {summary.rotation_before:.3f}°)",
+        *(f"{name}: {value}" for name, value in extra.items()),
+    ]
+
+
+def _explanations(results: Results) -> list[str]:
+    """What the reader needs to know about this table, and no more."""
+    rows, guarantee = results.per_dof, results.guarantee
+    widest = rows.groupby("level")["mpiw"].max()
+    infinite = [float(level) for level in widest.index[widest.map(math.isinf)]]
+    if guarantee != "exact":
+        too_few = guarantee == "by group" and infinite
+        return [_NO_LAW[guarantee], *([_TOO_FEW_GROUPS] if too_few else [])]
+    lines = [
+        "Reference band: where the Beta-Binomial law puts the coverage of one DoF with probability "
+        f"{100 * BAND_CONFIDENCE:g}% at these sample sizes, if the frames of both sets are "
+        "exchangeable."
+    ]
+    if not all(rows["in_band"]):
+        lines.append("*: outside the reference band.")
+    m = results.summary.n_calibration
+    for level in infinite:
+        needed = samples_needed(1 - Fraction(str(level)) / 100)
+        if m < needed:
+            lines.append(
+                f"∞: {m} samples in the uncertainty calibration set are too few for a {level:g}% "
+                f"interval; it needs {needed}."
+            )
+    return lines

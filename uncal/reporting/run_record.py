@@ -12,22 +12,12 @@ from datetime import datetime
 from pathlib import Path
 
 from uncal import __version__
+from uncal.reporting.frames import TABLES
 from uncal.reporting.layout import write_whole
 
 log = logging.getLogger(__name__)
 
 NAME = "run.json"
-
-TABLES: tuple[str, ...] = (
-    "results.csv",
-    "results.md",
-    "joint.csv",
-    "conditional.csv",
-    "calibration_curve.csv",
-    "control.csv",
-    "predictions.csv",
-)
-"""What a run writes beside its record."""
 
 
 class RunRecord:
@@ -72,21 +62,18 @@ class RunRecord:
 
         Its tables would pass for this run's until this one ends, or for good if it does not.
         """
-        for name in (NAME, *TABLES):
+        for name in (NAME, "results.md", *(schema.file for schema in TABLES)):
             (self.path.parent / name).unlink(missing_ok=True)
 
     def finished_earlier(self) -> Mapping[str, object] | None:
-        """The record of a run that asked the same and ended, in the same folder; None without."""
-        found = read_run(self.path.parent)
+        """The record of a finished run of the same request in the same folder; None without."""
+        found = read_record(self.path.parent)
         if found is None or found.get("request") != self.request:
             return None
         return found if (self.path.parent / "results.csv").is_file() else None
 
     def write(self, **results: object) -> Path:
         """Write what the run was and what came out.
-
-        Args:
-            **results: further entries, as plain values.
 
         Returns:
             The path.
@@ -100,12 +87,8 @@ class RunRecord:
         return write_whole(self.path, f"{json.dumps(content, indent=1, ensure_ascii=False)}\n")
 
 
-def read_run(folder: Path) -> dict[str, object] | None:
-    """The record in a run's folder; None, with a warning if it is damaged, where there is none.
-
-    Args:
-        folder: of a run.
-    """
+def read_record(folder: Path) -> dict[str, object] | None:
+    """The record in a run's folder; None, with a warning if it is damaged, where there is none."""
     path = folder / NAME
     if not path.is_file():
         return None
@@ -119,10 +102,6 @@ def read_run(folder: Path) -> dict[str, object] | None:
 
 def command_line(module: str, overrides: Sequence[str]) -> str:
     """The command that starts one run.
-
-    Args:
-        module: such as uncal.train.
-        overrides: ``key=value``, as given or as a sweep chose them.
 
     >>> command_line("uncal.train", ["seed=1", "interval.levels=[0.5, 0.9]"])
     "python -m uncal.train seed=1 'interval.levels=[0.5, 0.9]'"

@@ -15,11 +15,10 @@ from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 
-from tqdm import tqdm
-
 from uncal.errors import ConfigurationError, RecordingError
 from uncal.locking import locked
 from uncal.memory import keep_freed_memory
+from uncal.progress import progress_bar
 from uncal.simulation.drive import Piece
 from uncal.simulation.layout import Layout, layout_of
 from uncal.simulation.manifest import LOCK_NAME, Manifest, read_manifest
@@ -103,12 +102,12 @@ def _simulate_rigs(
     pieces = [piece for index in todo for piece in _pieces(settings, index)]
     open_pieces = dict.fromkeys(todo, len(pieces) // len(todo))
     per_rig = settings.drives_per_rig * settings.frames_per_drive
-    bar = tqdm(
-        total=settings.n_frames,
-        initial=settings.n_frames - per_rig * len(todo),
-        desc="simulating",
+    bar = progress_bar(
+        "simulating",
+        settings.n_frames,
+        done=settings.n_frames - per_rig * len(todo),
         unit="frame",
-        disable=not progress,
+        quiet=not progress,
     )
     with _process_pool(min(workers, len(pieces))) as pool, bar:
         futures: dict[Future[int], Piece] = {}

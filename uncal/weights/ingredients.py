@@ -29,6 +29,7 @@ ONLY_SHOWN: tuple[str, ...] = (
     "report",
     "figures",
     "progress",
+    "divergence",
     "learning_rate",
     "last",
 )

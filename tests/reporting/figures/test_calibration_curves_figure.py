@@ -1,27 +1,28 @@
 from __future__ import annotations
 
 import numpy as np
+import pandas as pd
 import pytest
 from matplotlib.axes import Axes
 
 from uncal.geometry import DOF_NAMES
-from uncal.reporting.curve_rows import CurveRow
-from uncal.reporting.figures.calibration_curves import (
-    calibration_curves,
-    why_yardstick,
-)
+from uncal.reporting.evaluation import band_caveat
+from uncal.reporting.figures.calibration_curves import calibration_curves
 from uncal.reporting.figures.style import DOF_COLOURS, DOF_LINES, DOF_MARKERS
+from uncal.reporting.frames import CURVE
 
 COLUMNS = "dof,level,picp,coverage_low,coverage_high,in_band\n"
 
 
-def _rows() -> list[CurveRow]:
+def _rows() -> pd.DataFrame:
     """Observed: 50 + j and 90 - j for the j-th DoF; Yaw's 85 is below the band of 86..94."""
-    return [
-        CurveRow(dof, level, found, low, high, low <= found <= high)
+    rows = [
+        (dof, level, picp, low, high, low <= picp <= high)
         for j, dof in enumerate(DOF_NAMES)
-        for level, found, low, high in ((50.0, 50.0 + j, 40.0, 60.0), (90.0, 90.0 - j, 86.0, 94.0))
+        for level, picp, low, high in ((50.0, 50.0 + j, 40.0, 60.0), (90.0, 90.0 - j, 86.0, 94.0))
     ]
+    frame: pd.DataFrame = pd.DataFrame(rows, columns=list(CURVE.columns))
+    return frame
 
 
 def _curves(panel: Axes) -> dict[object, list[tuple[float, float]]]:
@@ -56,8 +57,8 @@ def test_curves_band_and_diagonal_are_the_rows() -> None:
 def test_axes_say_what_they_show_in_percent() -> None:
     figure = calibration_curves(_rows(), "simulated street-scene", "").figure
     assert [panel.get_title() for panel in figure.axes[:2]] == ["Translations", "Rotations"]
-    assert figure.axes[0].get_ylabel() == "Observed coverage (%)"
-    assert figure.axes[3].get_xlabel() == "Expected coverage (%)"
+    assert figure.axes[0].get_ylabel() == "Empirical coverage (%)"
+    assert figure.axes[3].get_xlabel() == "Nominal coverage (%)"
     assert "percentage points" in figure.axes[2].get_ylabel()
     assert [text.get_text() for text in figure.texts] == ["simulated street-scene"]
 
@@ -72,22 +73,26 @@ def test_each_dof_has_its_own_colour_line_and_marker() -> None:
 
 
 @pytest.mark.parametrize(
-    ("yardstick", "legend", "caption"),
+    ("caveat", "legend", "caption"),
     [
-        ("", "99.9 % band of the exact law", "1 of 12 points lie outside."),
-        ("no promise", "99.9 % band, a yardstick", "only a yardstick: no promise."),
-        (None, "99.9 % band of the exact law", "a yardstick for other methods."),
+        ("", "99.9 % reference band (Beta-Binomial)", "1 of 12 points lie outside."),
+        (
+            "no guarantee",
+            "99.9 % reference band, not binding",
+            "reference only here: no guarantee.",
+        ),
+        (None, "99.9 % reference band (Beta-Binomial)", "for reference only with other methods."),
     ],
 )
-def test_the_band_is_called_what_it_is(yardstick: str | None, legend: str, caption: str) -> None:
-    drawn = calibration_curves(_rows(), "simulated", yardstick)
+def test_the_band_is_called_what_it_is(caveat: str | None, legend: str, caption: str) -> None:
+    drawn = calibration_curves(_rows(), "simulated", caveat)
     assert drawn.caption.endswith(caption)
     assert drawn.figure.legends[0].get_texts()[0].get_text() == legend
 
 
-def test_why_the_band_is_no_promise() -> None:
-    assert why_yardstick("exact", "frame") == ""
-    assert "by rig" in why_yardstick("exact", "rig")
-    assert "rigs" in why_yardstick("exact", "frame", test="unseen")
-    assert "promises no coverage" in why_yardstick("none", "frame")
-    assert "by group" in why_yardstick("by group", "frame")
+def test_why_the_band_is_not_binding() -> None:
+    assert band_caveat("exact", "frame") == ""
+    assert "by rig" in band_caveat("exact", "rig")
+    assert "rigs" in band_caveat("exact", "frame", test="unseen")
+    assert "guarantees no coverage" in band_caveat("none", "frame")
+    assert "by group" in band_caveat("by group", "frame")

@@ -3,37 +3,34 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import pandas as pd
 import pytest
 from matplotlib.axes import Axes
 
 from uncal.geometry import DOF_NAMES, DOF_UNITS
-from uncal.reporting.figures.columns import DofColumns, dof_columns
 from uncal.reporting.figures.ordered_intervals import (
     POINTS,
+    bounds,
+    covered,
     moving_average,
     ordered_intervals,
     smoothing_window,
 )
-from uncal.reporting.prediction_rows import PredictionRow
 
 TRUTH = (3.0, -1.0, 2.0, 0.0)
 
 
-def _rows(levels: dict[float, float]) -> list[PredictionRow]:
+def _rows(levels: dict[float, float]) -> pd.DataFrame:
     """Estimates 1 above the truth, and half widths per level."""
-    return [
-        PredictionRow(
-            frame=f"{i}",
-            dof=dof,
-            unit=unit,
-            truth=truth,
-            estimate=truth + 1,
-            sigma=1.0,
-            bounds={level: (truth + 1 - half, truth + 1 + half) for level, half in levels.items()},
-        )
+    rows = [
+        {"frame": f"{i}", "dof": dof, "unit": unit, "truth": truth, "estimate": truth + 1}
+        | {f"lower_{level:g}": truth + 1 - half for level, half in levels.items()}
+        | {f"upper_{level:g}": truth + 1 + half for level, half in levels.items()}
         for i, truth in enumerate(TRUTH)
         for dof, unit in zip(DOF_NAMES, DOF_UNITS, strict=True)
     ]
+    frame: pd.DataFrame = pd.DataFrame(rows)
+    return frame
 
 
 def _corners(panel: Axes, k: int) -> set[tuple[float, float]]:
@@ -41,31 +38,32 @@ def _corners(panel: Axes, k: int) -> set[tuple[float, float]]:
     return {(float(x), float(y)) for path in paths for x, y in np.asarray(path.vertices)}
 
 
-def _columns(n: int) -> list[DofColumns]:
+def _predictions(n: int) -> pd.DataFrame:
     rng = np.random.default_rng(0)
     truth, width = rng.uniform(-10, 10, n), rng.uniform(1, 5, n)
-    return [
-        DofColumns(dof, unit, truth, truth, {90.0: (truth - width, truth + width)})
+    values = {"truth": truth, "estimate": truth}
+    values |= {"lower_90": truth - width, "upper_90": truth + width}
+    parts = [
+        pd.DataFrame({"dof": dof, "unit": unit} | values)
         for dof, unit in zip(DOF_NAMES, DOF_UNITS, strict=True)
     ]
+    frame: pd.DataFrame = pd.concat(parts, ignore_index=True)
+    return frame
 
 
-def test_columns_are_the_rows_by_dof() -> None:
-    pitch = dof_columns(_rows({90.0: 3.0, 50.0: 0.5}))[4]
-    assert (pitch.dof, pitch.unit) == ("Pitch", "°")
-    assert pitch.truth.tolist() == list(TRUTH)
-    assert pitch.estimate.tolist() == [4.0, 0.0, 3.0, 1.0]
-    assert list(pitch.bounds) == [50.0, 90.0]
-    assert pitch.bounds[90.0][0].tolist() == [1.0, -3.0, 0.0, -2.0]
-    assert pitch.covered(90.0).all()
-    assert not pitch.covered(50.0).any()
+def test_bounds_and_coverage_of_a_dof() -> None:
+    rows = _rows({90.0: 3.0, 50.0: 0.5})
+    pitch = rows[rows["dof"] == "Pitch"]
+    assert bounds(pitch, 90.0)[0].tolist() == [1.0, -3.0, 0.0, -2.0]
+    assert covered(pitch, 90.0).all()
+    assert not covered(pitch, 50.0).any()
 
 
 def test_regions_are_bounds_minus_truth_in_the_order_of_truth() -> None:
-    columns = dof_columns(_rows({90.0: 3.0, 95.0: 4.0}))
+    rows = _rows({90.0: 3.0, 95.0: 4.0})
     # Narrower at the frame with the smallest truth, so that a wrong order would show.
-    columns[0].bounds[90.0][0][1] = -1.5
-    panel = ordered_intervals(columns, "simulated").figure.axes[0]
+    rows.loc[(rows["dof"] == "X") & (rows["frame"] == "1"), "lower_90"] = -1.5
+    panel = ordered_intervals(rows, "simulated").figure.axes[0]
     assert _corners(panel, 0) >= {(1, -0.5), (2, -2), (4, -2), (1, 4), (4, 4)}
     assert (1, -2) not in _corners(panel, 0)
     assert _corners(panel, 1) >= {(1, -3), (4, -3), (1, 5), (4, 5)}
@@ -75,8 +73,8 @@ def test_regions_are_bounds_minus_truth_in_the_order_of_truth() -> None:
 
 
 def test_the_widest_level_lies_behind_and_is_the_palest() -> None:
-    columns = dof_columns(_rows({99.0: 5.0, 90.0: 3.0, 95.0: 4.0}))
-    drawn = ordered_intervals(columns, "simulated")
+    rows = _rows({99.0: 5.0, 90.0: 3.0, 95.0: 4.0})
+    drawn = ordered_intervals(rows, "simulated")
     for panel in drawn.figure.axes:
         orders = [region.get_zorder() for region in panel.collections]
         assert orders == sorted(orders, reverse=True)
@@ -89,8 +87,8 @@ def test_the_widest_level_lies_behind_and_is_the_palest() -> None:
 
 
 def test_titles_count_coverage_and_axes_have_units() -> None:
-    columns = dof_columns(_rows({90.0: 3.0, 95.0: 0.5}))
-    panels = ordered_intervals(columns, "simulated").figure.axes
+    rows = _rows({90.0: 3.0, 95.0: 0.5})
+    panels = ordered_intervals(rows, "simulated").figure.axes
     assert panels[0].get_title() == "X: 100.0 / 0.0 % covered"
     assert panels[0].get_ylabel() == "Deviation from true X (cm)"
     assert panels[4].get_ylabel() == "Deviation from true Pitch (°)"
@@ -98,10 +96,10 @@ def test_titles_count_coverage_and_axes_have_units() -> None:
 
 
 def test_coverage_is_counted_before_smoothing() -> None:
-    columns = _columns(200)
-    for column in columns:
-        column.bounds[90.0][1][::2] = column.truth[::2] - 0.01  # every second frame missed
-    drawn = ordered_intervals(columns, "simulated")
+    rows = _predictions(200)
+    missed = np.arange(len(rows)) % 2 == 0  # every second frame
+    rows.loc[missed, "upper_90"] = rows.loc[missed, "truth"] - 0.01
+    drawn = ordered_intervals(rows, "simulated")
     assert drawn.figure.axes[0].get_title() == "X: 50.0 % covered"
     assert "moving average of 9 frames" in drawn.caption
     assert "counted before smoothing" in drawn.caption
@@ -111,17 +109,17 @@ def test_coverage_is_counted_before_smoothing() -> None:
 
 
 def test_infinite_levels_are_said_and_not_drawn() -> None:
-    drawn = ordered_intervals(dof_columns(_rows({90.0: 3.0, 99.0: math.inf})), "simulated")
+    drawn = ordered_intervals(_rows({90.0: 3.0, 99.0: math.inf}), "simulated")
     assert drawn.figure.axes[0].get_title() == "X: 100.0 / ∞ % covered"
     texts = [text.get_text() for text in drawn.figure.legends[0].get_texts()]
     assert texts == ["90 % interval", "estimate", "truth"]
     assert "Intervals of 99 % are infinite" in drawn.caption
-    none = ordered_intervals(dof_columns(_rows({99.0: math.inf})), "simulated")
+    none = ordered_intervals(_rows({99.0: math.inf}), "simulated")
     assert none.figure.axes[0].get_title() == "X: no finite interval"
 
 
 def test_thousands_of_frames_are_thinned_after_smoothing() -> None:
-    panel = ordered_intervals(_columns(5000), "simulated").figure.axes[0]
+    panel = ordered_intervals(_predictions(5000), "simulated").figure.axes[0]
     xy = np.asarray(panel.lines[0].get_xydata())
     assert POINTS <= len(xy) < 2 * POINTS
     assert xy[0, 0] == 1

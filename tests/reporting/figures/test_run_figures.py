@@ -9,10 +9,10 @@ from torch import Tensor
 
 from uncal.errors import UncalError
 from uncal.geometry import DOF_NAMES
-from uncal.reporting.figures.run_figures import figure_makers, recorded_yardstick, run_figures
-from uncal.reporting.prediction_rows import prediction_rows, write_predictions
-from uncal.reporting.predictions import Predictions
-from uncal.reporting.report import measure, write_report
+from uncal.reporting.figures.run_figures import figure_makers, run_figures
+from uncal.reporting.measure import measure
+from uncal.reporting.report import write_report
+from uncal.reporting.run import recorded_caveat
 from uncal.uncertainty import ConformalCalibrator
 
 NAMES = ["calibration_curves", "joint_coverage", "ordered_intervals", "width_against_error"]
@@ -34,10 +34,9 @@ def _settings(calibrator: str, **split: str) -> dict[str, object]:
 def run(tmp_path: Path) -> Path:
     calibrator = ConformalCalibrator(DOF_NAMES).fit(*_predictions(200, seed=1))
     tested = _predictions(40, seed=0)
-    write_report(tmp_path, measure(*tested, calibrator, [0.9]), label="simulated")
     frames = [str(i) for i in range(40)]
-    rows = prediction_rows(Predictions.of(*tested), calibrator, [0.9], frames)
-    write_predictions(tmp_path / "predictions.csv", rows)
+    results = measure(*tested, calibrator, [0.9], frames=frames)
+    write_report(tmp_path, results, label="simulated")
     return tmp_path
 
 
@@ -69,10 +68,10 @@ def test_a_damaged_file_is_an_error_of_its_own_figures_only(run: Path) -> None:
     ("record", "words"),
     [
         ({"settings": _settings("ConformalCalibrator")}, "points lie outside"),
-        ({"settings": _settings("GaussianIntervals")}, "promises no coverage"),
+        ({"settings": _settings("GaussianIntervals")}, "guarantees no coverage"),
         ({"settings": _settings("ConformalCalibrator", by="drive")}, "the split is by drive"),
-        ({"settings": None}, "a yardstick for other methods"),
-        ({}, "a yardstick for other methods"),
+        ({"settings": None}, "for reference only with other methods"),
+        ({}, "for reference only with other methods"),
     ],
 )
 def test_the_record_of_the_run_says_what_the_band_is(
@@ -80,15 +79,15 @@ def test_the_record_of_the_run_says_what_the_band_is(
 ) -> None:
     (run / "run.json").write_text(json.dumps(record), encoding="utf-8")
     assert words in run_figures(run, "simulated")[0].caption
-    assert "points lie outside" in run_figures(run, "simulated", yardstick="")[0].caption
+    assert "points lie outside" in run_figures(run, "simulated", caveat="")[0].caption
 
 
 def test_what_settings_tell() -> None:
-    assert recorded_yardstick(_settings("ConformalCalibrator")) == ""
-    assert "by group" in (recorded_yardstick(_settings("MondrianCalibrator")) or "")
-    assert "by group" in (recorded_yardstick(_settings("HierarchicalCalibrator")) or "")
-    assert recorded_yardstick(_settings("QuantileCalibrator")) == ""
-    assert "rigs" in (recorded_yardstick(_settings("AbsoluteCalibrator", test="unseen")) or "")
-    assert recorded_yardstick(_settings("SomethingOfTheUsers")) is None
-    assert recorded_yardstick({}) is None
-    assert recorded_yardstick({"interval": 3, "split": None}) is None
+    assert recorded_caveat(_settings("ConformalCalibrator")) == ""
+    assert "by group" in (recorded_caveat(_settings("MondrianCalibrator")) or "")
+    assert "by group" in (recorded_caveat(_settings("HierarchicalCalibrator")) or "")
+    assert recorded_caveat(_settings("QuantileCalibrator")) == ""
+    assert "rigs" in (recorded_caveat(_settings("AbsoluteCalibrator", test="unseen")) or "")
+    assert recorded_caveat(_settings("SomethingOfTheUsers")) is None
+    assert recorded_caveat({}) is None
+    assert recorded_caveat({"interval": 3, "split": None}) is None

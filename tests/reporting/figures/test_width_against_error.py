@@ -1,13 +1,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
+import pandas as pd
 import pytest
 from matplotlib.axes import Axes
+from numpy.typing import NDArray
 
 from uncal.geometry import DOF_NAMES, DOF_UNITS
-from uncal.reporting.figures.columns import DofColumns
 from uncal.reporting.figures.width_against_error import rank_correlation, width_against_error
 
 ERROR = np.array([1.0, -2.0, 3.0, 4.0])
@@ -15,20 +17,23 @@ HALF = np.array([2.0, 1.0, 5.0, 4.5])
 """The second frame is missed. Ranks 1 2 3 4 and 2 1 4 3: ρ = 1 - 6·4/(4·15) = 0.6."""
 
 
-def _columns(bounds: dict[float, tuple[float, float]]) -> list[DofColumns]:
+def _predictions(bounds: dict[float, tuple[float, float]]) -> pd.DataFrame:
     """Truth 10 everywhere; level → factors of the half widths below and above the estimate."""
-    truth = np.full(4, 10.0)
-    estimate = truth + ERROR
-    return [
-        DofColumns(
-            dof,
-            unit,
-            truth,
-            estimate,
-            {level: (estimate - a * HALF, estimate + b * HALF) for level, (a, b) in bounds.items()},
-        )
+    estimate = 10.0 + ERROR
+    return _of_all_dof(
+        {"truth": np.full(4, 10.0), "estimate": estimate}
+        | {f"lower_{level:g}": estimate - a * HALF for level, (a, _) in bounds.items()}
+        | {f"upper_{level:g}": estimate + b * HALF for level, (_, b) in bounds.items()}
+    )
+
+
+def _of_all_dof(values: Mapping[str, NDArray[np.float64]]) -> pd.DataFrame:
+    parts = [
+        pd.DataFrame({"dof": dof, "unit": unit} | dict(values))
         for dof, unit in zip(DOF_NAMES, DOF_UNITS, strict=True)
     ]
+    frame: pd.DataFrame = pd.concat(parts, ignore_index=True)
+    return frame
 
 
 def _points(panel: Axes, k: int) -> list[list[float]]:
@@ -36,7 +41,7 @@ def _points(panel: Axes, k: int) -> list[list[float]]:
 
 
 def test_points_line_and_correlation() -> None:
-    drawn = width_against_error(_columns({90.0: (1, 1), 95.0: (2, 2)}), "simulated")
+    drawn = width_against_error(_predictions({90.0: (1, 1), 95.0: (2, 2)}), "simulated")
     assert drawn is not None
     for panel, dof, unit in zip(drawn.figure.axes, DOF_NAMES, DOF_UNITS, strict=True):
         assert _points(panel, 0) == [[1, 4], [3, 10], [4, 9]]
@@ -54,27 +59,28 @@ def test_points_line_and_correlation() -> None:
 
 
 def test_the_line_is_only_a_guide_where_intervals_are_not_centred() -> None:
-    drawn = width_against_error(_columns({90.0: (1, 2)}), "simulated")
+    drawn = width_against_error(_predictions({90.0: (1, 2)}), "simulated")
     assert drawn is not None
     assert "only a guide" in drawn.caption
     assert _points(drawn.figure.axes[0], 1) == []  # the wider side holds the second frame
 
 
 def test_the_level_is_90_or_else_the_lowest_finite_one() -> None:
-    drawn = width_against_error(_columns({50.0: (0.5, 0.5), 80.0: (1, 1)}), "simulated")
+    drawn = width_against_error(_predictions({50.0: (0.5, 0.5), 80.0: (1, 1)}), "simulated")
     assert drawn is not None
     assert drawn.title == "Width of the 50 % intervals against error"
-    drawn = width_against_error(_columns({80.0: (1, 1), 90.0: (math.inf, math.inf)}), "simulated")
+    drawn = width_against_error(
+        _predictions({80.0: (1, 1), 90.0: (math.inf, math.inf)}), "simulated"
+    )
     assert drawn is not None
     assert "80 %" in drawn.figure.axes[0].get_ylabel()
-    assert width_against_error(_columns({90.0: (math.inf, math.inf)}), "simulated") is None
+    assert width_against_error(_predictions({90.0: (math.inf, math.inf)}), "simulated") is None
 
 
 def test_equal_widths_have_no_correlation() -> None:
-    columns = _columns({90.0: (1, 1)})
-    for column in columns:
-        column.bounds[90.0] = (column.estimate - 0.1, column.estimate + 0.1)
-    drawn = width_against_error(columns, "simulated")
+    rows = _predictions({90.0: (1, 1)})
+    rows["lower_90"], rows["upper_90"] = rows["estimate"] - 0.1, rows["estimate"] + 0.1
+    drawn = width_against_error(rows, "simulated")
     assert drawn is not None
     assert drawn.figure.axes[2].get_title() == "Z: no ρ, equal widths"
 
@@ -94,16 +100,14 @@ def test_thousands_of_points_are_pixels_in_the_pdf() -> None:
     truth = np.zeros(5000)
     half = rng.uniform(1, 2, 5000)
     estimate = rng.normal(size=5000)
-    columns = [
-        DofColumns(dof, unit, truth, estimate, {90.0: (estimate - half, estimate + half)})
-        for dof, unit in zip(DOF_NAMES, DOF_UNITS, strict=True)
-    ]
-    drawn = width_against_error(columns, "simulated")
+    values = {"truth": truth, "estimate": estimate}
+    values |= {"lower_90": estimate - half, "upper_90": estimate + half}
+    drawn = width_against_error(_of_all_dof(values), "simulated")
     assert drawn is not None
     held, missed = drawn.figure.axes[0].collections
     assert held.get_rasterized()
     assert missed.get_rasterized()
-    few = width_against_error(_columns({90.0: (1, 1)}), "simulated")
+    few = width_against_error(_predictions({90.0: (1, 1)}), "simulated")
     assert few is not None
     assert float(held.get_alpha() or 1) < float(few.figure.axes[0].collections[0].get_alpha() or 1)
     assert float(held.get_alpha() or 1) < float(missed.get_alpha() or 1)

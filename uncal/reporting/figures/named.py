@@ -38,10 +38,6 @@ def save(figure: NamedFigure, folder: Path) -> tuple[Path, Path]:
 
     The same figure gives the same bytes: no file carries the time of its making.
 
-    Args:
-        figure: what to write.
-        folder: where to; made if it is not there.
-
     Returns:
         ``<folder>/<name>.png`` and ``<folder>/<name>.pdf``.
     """

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
+from numpy.typing import NDArray
 
-from uncal.reporting.figures.columns import Column, DofColumns
 from uncal.reporting.figures.named import NamedFigure
 from uncal.reporting.figures.style import (
     BLACK,
@@ -18,6 +18,12 @@ from uncal.reporting.figures.style import (
     paper_style,
     shared_legend,
 )
+from uncal.reporting.frames import bound_columns, bound_levels
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Column: TypeAlias = NDArray[np.float64]
 
 WINDOWS = 25
 """How many windows of the moving average stand side by side in a panel."""
@@ -26,36 +32,24 @@ POINTS = 500
 """At least so many of the smoothed values are drawn, if there are."""
 
 
-def ordered_intervals(columns: Sequence[DofColumns], label: str) -> NamedFigure:
-    """Six panels of nested intervals, bounds minus truth, smoothed by a moving average.
-
-    Args:
-        columns: per DoF.
-        label: what the data are, such as "simulated".
-    """
-    n = len(columns[0].truth)
+def ordered_intervals(predictions: pd.DataFrame, label: str) -> NamedFigure:
+    """Six panels of nested intervals, bounds minus truth, smoothed by a moving average."""
+    by_dof = list(predictions.groupby("dof", sort=False))
+    n = len(by_dof[0][1])
     window = smoothing_window(n)
-    levels = list(columns[0].bounds)
     with paper_style():
         figure, panels = new_figure(2, 3, height=4.1, label=label, sharex=True)
-        for panel, column in zip(panels, columns, strict=True):
-            _draw(panel, column, window)
+        for panel, (_, rows) in zip(panels, by_dof, strict=True):
+            _draw(panel, rows, window)
         for panel in panels[3:]:
             panel.set_xlabel("Test frame, in order of truth")
         shared_legend(figure, panels)
-    return NamedFigure(
-        "ordered_intervals",
-        "Ordered prediction intervals",
-        _caption(columns, levels, n, window),
-        figure,
-    )
+    caption = _caption(predictions, n, window)
+    return NamedFigure("ordered_intervals", "Ordered prediction intervals", caption, figure)
 
 
 def smoothing_window(n: int) -> int:
     """Frames of the moving average: odd, about n / :data:`WINDOWS`.
-
-    Args:
-        n: test frames.
 
     >>> smoothing_window(10), smoothing_window(200), smoothing_window(5000)
     (1, 9, 201)
@@ -88,38 +82,45 @@ def moving_average(values: Column, window: int) -> Column:
     return np.where(total((~finite).astype(float)) > 0.5, np.nan, means)
 
 
-def _draw(panel: Axes, column: DofColumns, window: int) -> None:
-    order = np.argsort(column.truth, kind="stable")
+def bounds(rows: pd.DataFrame, level: float) -> tuple[Column, Column]:
+    """Lower and upper ends of a level's intervals, percent."""
+    lower, upper = bound_columns(level)
+    return rows[lower].to_numpy(), rows[upper].to_numpy()
+
+
+def covered(rows: pd.DataFrame, level: float) -> NDArray[np.bool_]:
+    """(n,) whether each interval of a level holds the truth."""
+    (lower, upper), truth = bounds(rows, level), rows["truth"].to_numpy()
+    return np.asarray((lower <= truth) & (truth <= upper))
+
+
+def _draw(panel: Axes, rows: pd.DataFrame, window: int) -> None:
+    rows = rows.sort_values("truth", kind="stable")
+    truth, levels = rows["truth"].to_numpy(), bound_levels(rows)
     # Thousands of smoothed points would make a PDF of megabytes that looks the same.
-    shown = np.arange(0, len(order), max(1, len(order) // POINTS))
-    place = shown + 1
-    levels = list(column.bounds)
+    shown = np.arange(0, len(rows), max(1, len(rows) // POINTS))
+    index = shown + 1
     for k, (level, colour) in enumerate(zip(levels, _shades(len(levels)), strict=True)):
-        lower, upper = (
-            moving_average((end - column.truth)[order], window)[shown]
-            for end in column.bounds[level]
-        )
+        lower, upper = (moving_average(end - truth, window)[shown] for end in bounds(rows, level))
         panel.fill_between(
-            place, lower, upper, color=colour, linewidth=0, zorder=1 - k / 100,
+            index, lower, upper, color=colour, linewidth=0, zorder=1 - k / 100,
             label=f"{level:g} % interval" if np.isfinite(lower).any() else None,
         )  # fmt: skip
-    estimate = moving_average((column.estimate - column.truth)[order], window)[shown]
-    panel.plot(place, estimate, color=ORANGE, linewidth=1.1, label="estimate")
+    estimate = moving_average(rows["estimate"].to_numpy() - truth, window)[shown]
+    panel.plot(index, estimate, color=ORANGE, linewidth=1.1, label="estimate")
     panel.axhline(0.0, color=BLACK, linewidth=0.8, linestyle=":", label="truth")
-    panel.set_xlim(1, max(2, len(order)))
+    panel.set_xlim(1, max(2, len(rows)))
     panel.margins(y=0.05)
     panel.locator_params(nbins=5)
-    panel.set_ylabel(f"Deviation from true {column.dof} ({column.unit})")
-    found = [_coverage(column, level) for level in levels]
-    all_infinite = all(text == "∞" for text in found)
-    covered = "no finite interval" if all_infinite else f"{' / '.join(found)} % covered"
-    panel.set_title(f"{column.dof}: {covered}")
-
-
-def _coverage(column: DofColumns, level: float) -> str:
-    if np.isinf(column.bounds[level]).all():
-        return "∞"
-    return f"{100 * column.covered(level).mean():.1f}"
+    dof, unit = rows["dof"].iloc[0], rows["unit"].iloc[0]
+    panel.set_ylabel(f"Deviation from true {dof} ({unit})")
+    coverage = [
+        "∞" if np.isinf(bounds(rows, level)).all() else f"{100 * covered(rows, level).mean():.1f}"
+        for level in levels
+    ]
+    finite = any(text != "∞" for text in coverage)
+    title = f"{' / '.join(coverage)} % covered" if finite else "no finite interval"
+    panel.set_title(f"{dof}: {title}")
 
 
 def _shades(count: int) -> list[tuple[float, float, float]]:
@@ -129,7 +130,8 @@ def _shades(count: int) -> list[tuple[float, float, float]]:
     return [tuple(s * hue + (1.0 - s)) for s in strength]
 
 
-def _caption(columns: Sequence[DofColumns], levels: Sequence[float], n: int, window: int) -> str:
+def _caption(predictions: pd.DataFrame, n: int, window: int) -> str:
+    levels = bound_levels(predictions)
     names = ", ".join(f"{level:g}" for level in levels)
     text = (
         f"Intervals of {names} % minus the truth, over {n} test frames in the order of the truth; "
@@ -140,14 +142,10 @@ def _caption(columns: Sequence[DofColumns], levels: Sequence[float], n: int, win
             f"Bounds and estimate are smoothed by a moving average of {window} frames (fewer at "
             "both ends); the coverage above each panel is counted before smoothing. "
         )
-    missing = [
-        f"{level:g} %"
-        for level in levels
-        if any(np.isinf(column.bounds[level]).any() for column in columns)
-    ]
-    if missing:
+    infinite = [f"{v:g} %" for v in levels if np.isinf(bounds(predictions, v)).any()]
+    if infinite:
         text += (
-            f"Intervals of {', '.join(missing)} are infinite (∞), all or some, and not drawn "
+            f"Intervals of {', '.join(infinite)} are infinite (∞), all or some, and not drawn "
             "there: the uncertainty calibration set is too small for them."
         )
     return text.strip()

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from contextlib import AbstractContextManager
 from types import MappingProxyType
+from typing import Any
 
 import matplotlib as mpl
 from matplotlib.axes import Axes
@@ -12,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.legend import Legend
 
-from uncal.geometry import DOF_NAMES, DOF_UNITS
+from uncal.geometry import DOF_NAMES
 
 SINGLE_COLUMN, DOUBLE_COLUMN = 3.4, 7.0
 """Widths of a paper's column and page, inches."""
@@ -34,9 +35,14 @@ DOF_LINES = MappingProxyType(dict(zip(DOF_NAMES, ("-", "--", "-.") * 2, strict=T
 DOF_MARKERS = MappingProxyType(dict(zip(DOF_NAMES, "os^Dvp", strict=True)))
 """So that colour is never the only cue."""
 
-DOF_UNIT = MappingProxyType(dict(zip(DOF_NAMES, DOF_UNITS, strict=True)))
-
 TRANSLATIONS, ROTATIONS = DOF_NAMES[:3], DOF_NAMES[3:]
+
+
+def dof_style(dof: str) -> dict[str, Any]:
+    """Colour, line, marker and label that a DoF has in every figure."""
+    looks = {"color": DOF_COLOURS[dof], "linestyle": DOF_LINES[dof], "marker": DOF_MARKERS[dof]}
+    return {**looks, "label": dof}
+
 
 _LABEL_POINTS = 6.5
 _STYLE = {
@@ -120,21 +126,13 @@ def new_figure(
 
 
 def light_grid(panels: Iterable[Axes]) -> None:
-    """Faint lines to read values by.
-
-    Args:
-        panels: where.
-    """
+    """Faint lines to read values by."""
     for panel in panels:
         panel.grid(visible=True)
 
 
 def shared_legend(figure: Figure, panels: Iterable[Axes]) -> Legend:
     """One legend above all panels, where it hides nothing; what several have is named once.
-
-    Args:
-        figure: theirs.
-        panels: with labelled artists.
 
     Returns:
         The legend.

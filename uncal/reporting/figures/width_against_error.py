@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
 from scipy.stats import spearmanr  # type: ignore[import-untyped]
 
-from uncal.reporting.figures.columns import Column, DofColumns
 from uncal.reporting.figures.named import NamedFigure
+from uncal.reporting.figures.ordered_intervals import Column, bounds, covered
 from uncal.reporting.figures.style import (
     BLUE,
     GREY,
@@ -20,53 +20,46 @@ from uncal.reporting.figures.style import (
     paper_style,
     shared_legend,
 )
+from uncal.reporting.frames import bound_levels
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 LEVEL = 90.0
 """Percent; of a run without it the lowest level with finite intervals is shown."""
 
 
-def width_against_error(columns: Sequence[DofColumns], label: str) -> NamedFigure | None:
+def width_against_error(predictions: pd.DataFrame, label: str) -> NamedFigure | None:
     """Six panels of interval width against |error|, with their rank correlation.
-
-    Args:
-        columns: per DoF.
-        label: what the data are, such as "simulated".
 
     Returns:
         The figure; None where no level has finite intervals in all DoF.
     """
-    finite = [
-        level
-        for level in columns[0].bounds
-        if all(np.isfinite(column.bounds[level]).all() for column in columns)
-    ]
+    finite = [v for v in bound_levels(predictions) if np.isfinite(bounds(predictions, v)).all()]
     if not finite:
         return None
     level = LEVEL if LEVEL in finite else finite[0]
+    by_dof = list(predictions.groupby("dof", sort=False))
     with paper_style():
         figure, panels = new_figure(2, 3, height=4.3, label=label)
         light_grid(panels)
-        for panel, column in zip(panels, columns, strict=True):
-            _draw(panel, column, level)
+        for panel, (_, rows) in zip(panels, by_dof, strict=True):
+            _draw(panel, rows, level)
         for handle in shared_legend(figure, panels).legend_handles:
             if handle is not None:
                 handle.set_alpha(1.0)
     return NamedFigure(
         "width_against_error",
         f"Width of the {level:g} % intervals against error",
-        f"Each point is one of {len(columns[0].truth)} test frames. ρ is Spearman's rank "
+        f"Each point is one of {len(by_dof[0][1])} test frames. ρ is Spearman's rank "
         "correlation of width and |error|: 0 where the width says nothing about the error. "
-        f"Dashed: width = 2 |error|; {_above(columns, level)}",
+        f"Dashed: width = 2 |error|; {_above(predictions, level)}",
         figure,
     )
 
 
 def rank_correlation(width: Column, error: Column) -> float:
     """Spearman's ρ, NaN where all widths or errors are equal up to rounding.
-
-    Args:
-        width: (n,).
-        error: (n,).
 
     >>> rank_correlation(np.array([1.0, 2.0, 3.0]), np.array([0.1, 0.4, 0.5]))
     1.0
@@ -76,10 +69,10 @@ def rank_correlation(width: Column, error: Column) -> float:
     return float(round(spearmanr(width, error).statistic, 12))
 
 
-def _draw(panel: Axes, column: DofColumns, level: float) -> None:
-    lower, upper = column.bounds[level]
-    width, error = upper - lower, np.abs(column.estimate - column.truth)
-    held = column.covered(level)
+def _draw(panel: Axes, rows: pd.DataFrame, level: float) -> None:
+    lower, upper = bounds(rows, level)
+    width, error = upper - lower, np.abs((rows["estimate"] - rows["truth"]).to_numpy())
+    held = covered(rows, level)
     n = len(held)
     # Density must show among thousands of points, and single points among few.
     size, alpha = float(np.clip(1500 / n, 2.5, 9.0)), float(np.clip(12 / n**0.5, 0.15, 0.7))
@@ -98,17 +91,17 @@ def _draw(panel: Axes, column: DofColumns, level: float) -> None:
     )  # fmt: skip
     panel.set_xlim(0, right)
     panel.set_ylim(0, top)
-    panel.set_xlabel(f"|error| of {column.dof} ({column.unit})")
-    panel.set_ylabel(f"Width of {level:g} % interval ({column.unit})")
+    dof, unit = rows["dof"].iloc[0], rows["unit"].iloc[0]
+    panel.set_xlabel(f"|error| of {dof} ({unit})")
+    panel.set_ylabel(f"Width of {level:g} % interval ({unit})")
     rho = rank_correlation(width, error)
     shown = f"ρ = {rho:.2f}".replace("-", "−")
-    panel.set_title(f"{column.dof}: {'no ρ, equal widths' if math.isnan(rho) else shown}")
+    panel.set_title(f"{dof}: {'no ρ, equal widths' if math.isnan(rho) else shown}")
 
 
-def _above(columns: Sequence[DofColumns], level: float) -> str:
-    for column in columns:
-        lower, upper = column.bounds[level]
-        off = np.abs((lower + upper) / 2 - column.estimate)
-        if (off > 1e-6 * (upper - lower)).any():
-            return "these intervals are not centred on the estimate, so it is only a guide."
+def _above(predictions: pd.DataFrame, level: float) -> str:
+    lower, upper = bounds(predictions, level)
+    off = np.abs((lower + upper) / 2 - predictions["estimate"].to_numpy())
+    if (off > 1e-6 * (upper - lower)).any():
+        return "these intervals are not centred on the estimate, so it is only a guide."
     return "above it the interval holds the truth."

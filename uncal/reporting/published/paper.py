@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
+from typing import NamedTuple
 
 import yaml  # type: ignore[import-untyped]
 
@@ -16,18 +17,7 @@ MCD_ALONE = "MC dropout alone, normal quantiles"
 
 @dataclass(frozen=True)
 class PublishedValue:
-    """One cell of a table of the paper.
-
-    Attributes:
-        table: 1 or 2.
-        data: "real KITTI" or "real DSEC".
-        method: :data:`MCD_CP` in Table 1, :data:`MCD_ALONE` in Table 2.
-        dof: X, Y, Z, Roll, Pitch or Yaw.
-        unit: "%" of ``picp``, else "cm" or "°".
-        level: coverage asked for, percent.
-        metric: ``picp``, ``mpiw`` or ``is``.
-        text: the value as printed.
-    """
+    """One cell of Table 1 or 2; ``text`` is the value as printed, ``level`` percent."""
 
     table: int
     data: str
@@ -44,31 +34,16 @@ class PublishedValue:
         return float(self.text)
 
 
-@dataclass(frozen=True)
-class PublishedError:
-    """Mean errors of the estimate on real KITTI; whether per axis or of the whole is not said.
-
-    Attributes:
-        source: whose.
-        translation: cm, as printed; "0.33-0.89" for a range.
-        rotation: degrees, as printed.
-    """
+class PublishedError(NamedTuple):
+    """Mean errors of the estimate on real KITTI, as printed; per axis or in total is unstated."""
 
     source: str
     translation: str
     rotation: str
 
 
-@dataclass(frozen=True)
-class PublishedSetting:
-    """How the paper's numbers on one data set came about.
-
-    Attributes:
-        data: "real KITTI" or "real DSEC".
-        network: whose.
-        split: of the frames.
-        dropout: rates.
-    """
+class PublishedSetting(NamedTuple):
+    """Where the paper's numbers on one data set come from."""
 
     data: str
     network: str
@@ -105,19 +80,11 @@ class PublishedPaper:
     doubts: tuple[str, ...]
 
     def source(self, place: str) -> str:
-        """A sentence's worth of reference.
-
-        Args:
-            place: such as "Table 1".
-        """
+        """A sentence's worth of reference."""
         return f"{self.authors}, “{self.title}”, {self.venue}, {place}"
 
     def table(self, number: int) -> tuple[PublishedValue, ...]:
-        """The cells of one table.
-
-        Args:
-            number: 1 or 2.
-        """
+        """The cells of one table."""
         return tuple(each for each in self.values if each.table == number)
 
 
@@ -148,25 +115,18 @@ def published_paper() -> PublishedPaper:
         for dof, cell in zip(DOF_NAMES, line.split(), strict=True)
     ]
     return PublishedPaper(
-        title=content["title"],
-        authors=content["authors"],
-        venue=content["venue"],
-        address=content["address"],
+        **{key: content[key] for key in ("title", "authors", "venue", "address")},
         values=tuple(values),
-        errors=tuple(PublishedError(*both) for both in _errors(content["point_errors"])),
+        errors=tuple(PublishedError(n, *texts) for n, texts in content["point_errors"].items()),
         settings=tuple(
-            PublishedSetting(data=data, **said)
-            for data, said in settings.items()
-            if isinstance(said, dict)
+            PublishedSetting(data=data, **about)
+            for data, about in settings.items()
+            if isinstance(about, dict)
         ),
         passes=int(settings["passes"]),
         decalibration=settings["decalibration"],
         doubts=tuple(content["doubts"]),
     )
-
-
-def _errors(content: dict[str, list[str]]) -> list[tuple[str, str, str]]:
-    return [(source, translation, rotation) for source, (translation, rotation) in content.items()]
 
 
 def _value(

@@ -1,0 +1,55 @@
+"""Stops a training whose loss is no longer a finite number, at once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import lightning
+import torch
+from lightning import LightningModule, Trainer
+from lightning.pytorch.callbacks import ModelCheckpoint
+from torch import Tensor
+
+from uncal.errors import DivergenceError
+
+
+class StopAtDivergence(lightning.Callback):
+    """Ends a training at the first loss that is NaN or infinite.
+
+    Everything after it would be thrown away, and the calibration would only count NaN at the end.
+    """
+
+    def on_train_batch_end(
+        self,
+        trainer: Trainer,
+        pl_module: LightningModule,
+        outputs: Tensor | Mapping[str, object] | None,
+        batch: object,
+        batch_idx: int,
+    ) -> None:
+        """Look at the loss of the step.
+
+        Raises:
+            DivergenceError: names step, learning rate and the last good checkpoint.
+        """
+        loss = outputs.get("loss") if isinstance(outputs, Mapping) else outputs
+        if not isinstance(loss, Tensor) or bool(torch.isfinite(loss).all()):
+            return
+        groups = [group for optimizer in trainer.optimizers for group in optimizer.param_groups]
+        rate = max((group["lr"] for group in groups), default=float("nan"))
+        raise DivergenceError(
+            f"the training diverges: the loss is {float(loss.detach().float().mean())} at step "
+            f"{trainer.global_step} (epoch {trainer.current_epoch + 1} of {trainer.max_epochs}), "
+            f"learning rate {rate:.3g} there. Lower "
+            f"model.optimization.optimizer.lr, or trainer.gradient_clip_val. {_last_good(trainer)}"
+        )
+
+
+def _last_good(trainer: Trainer) -> str:
+    for callback in trainer.checkpoint_callbacks:
+        if isinstance(callback, ModelCheckpoint) and callback.filename == "last":
+            path = Path(str(callback.dirpath)) / "last.ckpt"
+            if path.is_file():
+                return f"The last good checkpoint is {path}."
+    return "No epoch had ended, so that there is no checkpoint."

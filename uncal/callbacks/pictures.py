@@ -1,0 +1,56 @@
+"""What overlays have in common: the background, the panel, the file and TensorBoard."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+from lightning import Trainer
+from lightning.pytorch.loggers import TensorBoardLogger
+from numpy.typing import NDArray
+
+from uncal.data.datamodule import CalibrationDataModule
+from uncal.data.dataset import Sample
+from uncal.reporting.overlay import draw_events, overlay_panel
+
+WIDTH_PX = 1000
+"""Least width of a picture; small images are enlarged to it."""
+
+
+def sample_panel(
+    data: CalibrationDataModule, sample: Sample, extrinsics: Mapping[str, NDArray[np.float64]]
+) -> NDArray[np.uint8]:
+    """A sample's points on its image or events, one row per extrinsic (caption → (4, 4))."""
+    image = background(data, sample)
+    scale = max(1, round(WIDTH_PX / image.shape[1]))
+    K = sample.K.double().numpy()
+    return overlay_panel(image, sample.points.numpy(), K, extrinsics, scale)
+
+
+def background(data: CalibrationDataModule, sample: Sample) -> NDArray[np.uint8]:
+    """The (H, W, 3) uint8 RGB picture to draw points on: the image, or the events as a picture."""
+    if sample.camera.dtype == torch.uint8:
+        return np.ascontiguousarray(sample.camera.numpy().transpose(1, 2, 0))
+    frame = data.recording.load(sample.frame)
+    events = frame.events
+    assert events is not None
+    return draw_events(
+        events, data.image_size, data.datasets["test"].fit(events.size, frame.K).pixel_map
+    )
+
+
+def keep_picture(trainer: Trainer, picture: NDArray[np.uint8], path: Path, tag: str) -> None:
+    """Write a PNG and show it in TensorBoard."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    cv2.imwrite(str(path), picture[:, :, ::-1])
+    show_picture(trainer, picture, tag)
+
+
+def show_picture(trainer: Trainer, picture: NDArray[np.uint8], tag: str) -> None:
+    """Show an RGB picture in TensorBoard, if there is such a logger."""
+    for logger in trainer.loggers:
+        if isinstance(logger, TensorBoardLogger):
+            logger.experiment.add_image(tag, picture, trainer.global_step, dataformats="HWC")

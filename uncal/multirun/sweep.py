@@ -1,0 +1,156 @@
+"""A multirun's summary.csv as its figures need it: jobs grouped once, values per job."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TypeAlias
+
+import numpy as np
+import pandas as pd
+
+from uncal.geometry import DOF_NAMES
+from uncal.multirun.frame import keys_of, replicates
+from uncal.multirun.tables import groups
+
+KEY_NAMES = {
+    "mcd.passes": "stochastic passes",
+    "mcd.masks": "masks",
+    "model.backbone_dropout": "backbone dropout rate",
+    "model.head_dropout": "head dropout rate",
+    "dataset.simulation.lidar.beams": "LiDAR beams",
+    "dataset.simulation.n_rigs": "rigs",
+    "split.train_frames": "training frames",
+    "interval": "interval method",
+    "split.by": "split by",
+    "split.test": "test set",
+}
+"""What swept keys are called in a figure; others by themselves."""
+
+Quantity: TypeAlias = tuple[str, float, Sequence[str]]
+"""Column, nominal coverage in percent, and the DoF over which to average."""
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One panel of a figure.
+
+    Attributes:
+        title: what tells it from its neighbours.
+        axis: what the values are.
+        series: label → what is drawn; a DoF has its own look. One without a label is split by the
+            other swept keys.
+        reference: a dotted line at this value.
+        law: whether to shade the reference band at the nominal coverage ``reference``.
+        relative: whether each series is divided by its value in the first row.
+    """
+
+    title: str
+    axis: str
+    series: Mapping[str, Quantity]
+    reference: float | None = None
+    law: bool = False
+    relative: bool = False
+
+
+class Sweep:
+    """A multirun's summary, its jobs grouped by the values swept."""
+
+    def __init__(self, frame: pd.DataFrame) -> None:
+        self.frame = frame
+        self.keys = keys_of(frame)
+        self.levels = sorted({float(level) for level in frame["level"]})
+        self.label = " and ".join(filter(None, frame["label"].unique()))
+        self.groups = groups(frame)
+        self.replicates = max(map(len, self.groups.values()))
+        self.repeated = " and ".join(replicates(frame))
+        self.names = [", ".join(values) if self.keys else "all" for values in self.groups]
+        self.words = ", ".join(map(key_name, self.keys)) or self.repeated
+
+    @cached_property
+    def over(self) -> str | None:
+        """The swept number with the most values; None if there is none with two."""
+        counts = {k: self.frame[k].nunique() for k in self.keys if _numbers(self.frame[k])}
+        most = max(counts, key=lambda key: counts[key], default=None)  # the first of several
+        return most if most is not None and counts[most] > 1 else None
+
+    @cached_property
+    def jobs(self) -> pd.DataFrame:
+        """Per job: folder, row (of the group), x (value of the number), others (other keys)."""
+        rest = [i for i, key in enumerate(self.keys) if key != self.over]
+        jobs: pd.DataFrame = pd.DataFrame(
+            [
+                {
+                    "folder": folder,
+                    "row": row,
+                    "x": float(values[self.keys.index(self.over)]) if self.over else math.nan,
+                    "others": ", ".join(values[i] for i in rest) if self.keys else "",
+                }
+                for row, (values, folders) in enumerate(self.groups.items())
+                for folder in folders
+            ]
+        )
+        return jobs
+
+    @property
+    def others(self) -> list[str]:
+        """What the lines of a figure over a number differ in."""
+        return list(self.jobs["others"].unique()) if len(self.keys) > 1 else []
+
+    @property
+    def spread(self) -> str:
+        """What marks, bands and bars are."""
+        if self.replicates == 1:
+            return "One run per value."
+        return (
+            f"Marks: means over the {self.repeated} ({self.replicates} runs); bands or bars: from "
+            "the lowest to the highest of them."
+        )
+
+    def values(self, quantity: Quantity) -> pd.DataFrame:
+        """The jobs with a value: means over the DoF, of groups in which all jobs have one."""
+        column, level, dofs = quantity
+        if column not in self.frame.columns:
+            none: pd.DataFrame = self.jobs.iloc[:0].assign(value=[])
+            return none
+        own = self.frame[(self.frame["level"] == level) & self.frame["dof"].isin(dofs)]
+        means = own.groupby("folder")[column].mean()
+        jobs: pd.DataFrame = self.jobs.assign(value=self.jobs["folder"].map(means).astype(float))
+        finite = np.isfinite(jobs["value"]).groupby(jobs["row"]).transform("all")
+        kept: pd.DataFrame = jobs.loc[finite]
+        return kept
+
+    def band(self, level: float, by: str) -> tuple[pd.Series[float], pd.Series[float]]:
+        """Lower and upper end of the reference band by row or by x: sample sizes may differ."""
+        low, high = (self.values((f"coverage_{end}", level, DOF_NAMES)) for end in ("low", "high"))
+        return low.groupby(by)["value"].min(), high.groupby(by)["value"].max()
+
+    def differs(self, panel: Panel) -> bool:
+        """Whether there is anything to see: values, and not the same in every row."""
+        means = [self.values(q).groupby("row")["value"].mean() for q in panel.series.values()]
+        several = len(self.groups) == 1 or any(each.nunique() > 1 for each in means)
+        return several and any(len(each) for each in means)
+
+
+def key_name(key: str) -> str:
+    """What a swept key is called in a figure."""
+    return KEY_NAMES.get(key, key)
+
+
+def sentence(words: str) -> str:
+    """A name as the first word of a line; a key stays as it is typed.
+
+    >>> sentence("stochastic passes"), sentence("trainer.max_epochs")
+    ('Stochastic passes', 'trainer.max_epochs')
+    """
+    return words if "." in words else words[:1].upper() + words[1:]
+
+
+def _numbers(values: pd.Series[str]) -> bool:
+    try:
+        values.astype(float)
+    except ValueError:
+        return False
+    return True

@@ -1,0 +1,108 @@
+"""Progress: a bar on a terminal, a line every few seconds in a log."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, NoReturn, TextIO, TypeVar
+
+from tqdm import tqdm
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+T = TypeVar("T")
+
+LOG_INTERVAL = 10.0
+"""Seconds between lines where nobody watches."""
+
+_LINE = "{desc}: {n_fmt}/{total_fmt} [{elapsed}<{remaining}, {rate_fmt}{postfix}]"
+
+
+def progress_bar(
+    what: str,
+    total: int,
+    *,
+    done: int = 0,
+    unit: str = "step",
+    leave: bool = True,
+    quiet: bool = False,
+) -> tqdm[NoReturn]:
+    """A bar to be advanced by hand.
+
+    Args:
+        what: is going on.
+        total: steps in all.
+        done: steps done before.
+        unit: name of a step.
+        leave: whether the finished bar stays.
+        quiet: show nothing.
+    """
+    kind, interval = _kind(sys.stderr)
+    return kind(
+        desc=what, total=total, initial=done, unit=unit, leave=leave, mininterval=interval,
+        delay=_delay(kind), disable=quiet,
+    )  # fmt: skip
+
+
+def watched(items: Iterable[T], what: str, *, quiet: bool = False) -> Iterable[T]:
+    """Go through something and show how far it is.
+
+    Args:
+        items: to go through; with a length, if the time that remains is to be shown.
+        what: is going on.
+        quiet: show nothing.
+    """
+    kind, interval = _kind(sys.stderr)
+    bar: Iterable[T] = kind(
+        items, desc=what, leave=False, mininterval=interval, delay=_delay(kind), disable=quiet
+    )
+    return bar
+
+
+def _kind(stream: TextIO) -> tuple[type[tqdm[NoReturn]], float]:
+    return (tqdm, 0.5) if stream.isatty() else (LogLines, LOG_INTERVAL)
+
+
+def _delay(kind: type[tqdm[NoReturn]]) -> float:
+    # What is over before a line is due needs none.
+    return LOG_INTERVAL if kind is LogLines else 0.0
+
+
+class LogLines(tqdm):  # type: ignore[type-arg]  # of whatever it goes through
+    """Lines in place of a bar that rewrites itself, for nohup, CI and batch systems."""
+
+    def __init__(self, *args: object, **kwargs: object) -> None:
+        super().__init__(*args, **{"bar_format": _LINE, "dynamic_ncols": False, **kwargs})
+
+    @staticmethod
+    def status_printer(file: TextIO) -> Callable[[str], None]:
+        """What tqdm shows itself with.
+
+        Args:
+            file: the log.
+        """
+
+        def show(text: str) -> None:
+            if text.strip():
+                file.write(f"{text.rstrip()}\n")
+                file.flush()
+
+        return show
+
+    def moveto(self, n: int) -> None:
+        """Stay: a log has no cursor.
+
+        Args:
+            n: lines to move by.
+        """
+
+    def close(self) -> None:
+        """Say how it ended, if it is to stay or took long enough to say anything before."""
+        if self.disable:
+            return
+        self.disable = True
+        self._decr_instances(self)
+        shown = self.last_print_t >= self.start_t + self.delay
+        if self.n and (self.leave or shown):
+            self.sp(str(self))

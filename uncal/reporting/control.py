@@ -1,0 +1,78 @@
+"""What the camera contributes per degree of freedom: the image-blind control with its bootstrap."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from uncal.geometry import DOF_NAMES, DOF_SCALE, DOF_UNITS
+from uncal.metrics.bootstrap import bootstrap_ratio, ratio
+from uncal.reporting.frames import table
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from uncal.models.control import ControlPrediction
+    from uncal.recordings.frame import FrameId
+
+
+def control_table(control: ControlPrediction, mae_mean: Sequence[float]) -> pd.DataFrame:
+    """One row per degree of freedom.
+
+    Args:
+        control: the control's estimates.
+        mae_mean: 6 mean absolute errors of the mean of the stochastic passes, cm and degrees.
+    """
+    target, single, blind = (
+        values.double().numpy() for values in (control.target, control.single, control.blind)
+    )
+    before = np.abs(target)
+    with_image, without = np.abs(target - single), np.abs(target - blind)
+    kind, groups = resampling_groups(control.frames)
+    low, high = bootstrap_ratio(without - with_image, before, groups)
+    contribution = ratio((without - with_image).mean(0), before.mean(0))
+    return table(
+        [
+            {
+                "dof": name,
+                "unit": DOF_UNITS[j],
+                "mae_before": DOF_SCALE[j] * float(before[:, j].mean()),
+                "mae_mean": mae_mean[j],
+                "mae_single": DOF_SCALE[j] * float(with_image[:, j].mean()),
+                "mae_blind": DOF_SCALE[j] * float(without[:, j].mean()),
+                "contribution": 100 * float(contribution[j]),
+                "contribution_low": 100 * float(low[j]),
+                "contribution_high": 100 * float(high[j]),
+                "n": len(target),
+                "groups": kind,
+                "n_groups": len(set(groups)),
+            }
+            for j, name in enumerate(DOF_NAMES)
+        ]
+    )
+
+
+def resampling_groups(frames: Sequence[FrameId]) -> tuple[str, list[str]]:
+    """The coarsest grouping with more than one group: frames of a rig or drive are dependent.
+
+    Returns:
+        "rigs", "drives" or "frames", and n labels.
+
+    >>> from uncal.recordings.frame import FrameId
+    >>> resampling_groups([FrameId("car", "a", 0), FrameId("car", "a", 1), FrameId("car", "b", 0)])
+    ('drives', ['car/a', 'car/a', 'car/b'])
+    """
+    rigs = [frame.rig for frame in frames]
+    if len(set(rigs)) > 1:
+        return "rigs", rigs
+    drives = [f"{frame.rig}/{frame.drive}" for frame in frames]
+    if len(set(drives)) > 1:
+        return "drives", drives
+    return "frames", [str(frame) for frame in frames]
+
+
+def blind_dofs(control: pd.DataFrame) -> list[str]:
+    """The degrees of freedom whose interval contains 0 or lies below it."""
+    return [str(dof) for dof in control["dof"][control["contribution_low"] <= 0]]

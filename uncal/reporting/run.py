@@ -1,0 +1,197 @@
+"""A run's folder, read whole: its record (run.json) and its tables (the CSV files)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import torch
+from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+import uncal.uncertainty
+from uncal.errors import UncalError
+from uncal.geometry import DOF_NAMES, DOF_SCALE
+from uncal.metrics.pose_error import PoseErrors, pose_errors
+from uncal.reporting.evaluation import Guarantee, band_caveat, guarantee_of
+from uncal.reporting.frames import PREDICTIONS, RESULTS, TABLES, Schema, read_csv
+from uncal.reporting.published.paper import MCD_ALONE, MCD_CP
+from uncal.reporting.run_record import NAME, read_record
+from uncal.uncertainty.calibrator import IntervalCalibrator
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+UNKNOWN = "not recorded"
+
+FAILED = "failed.txt"
+"""In the folder of a job that raised: why."""
+
+METHODS: Mapping[str, str] = {
+    "ConformalCalibrator": MCD_CP,
+    "GaussianIntervals": MCD_ALONE,
+    "AbsoluteCalibrator": "conformal without σ (absolute)",
+    "QuantileCalibrator": "conformalized quantile regression",
+    "MondrianCalibrator": f"{MCD_CP}, per known group (Mondrian)",
+    "HierarchicalCalibrator": f"{MCD_CP}, for new groups (hierarchical)",
+}
+"""Calibrator class → the words used in tables."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """One run's folder.
+
+    Attributes:
+        folder: where it is.
+        record: content of run.json; empty without one that can be read.
+        tables: of the files that are there; results.csv always is.
+        name: such as "Run 2" or "Run 3, job 0", by which a comparison refers to it.
+        distinction: what sets it apart from other jobs of its multirun, such as "mcd.passes=5".
+    """
+
+    folder: Path
+    record: Mapping[str, object]
+    tables: Mapping[Schema, pd.DataFrame]
+    name: str = ""
+    distinction: str = ""
+
+    @property
+    def per_dof(self) -> pd.DataFrame:
+        """results.csv."""
+        return self.tables[RESULTS]
+
+    @property
+    def settings(self) -> Mapping[str, object]:
+        """All that another process needs to repeat the run."""
+        return _mapping(self.record.get("settings"))
+
+    @property
+    def weights(self) -> Mapping[str, object]:
+        """Fingerprint, path, whether they were reused, how long their training took."""
+        return _mapping(self.record.get("weights"))
+
+    @property
+    def stored_passes(self) -> dict[str, str]:
+        """Split → whether its stochastic passes were computed or reused."""
+        passes = _mapping(self.record.get("passes"))
+        return {split.replace("_", " "): str(origin) for split, origin in passes.items()}
+
+    @property
+    def label(self) -> str:
+        """What the data are."""
+        return self.entry("label") or f"data {UNKNOWN}"
+
+    @property
+    def method(self) -> str:
+        """The interval method in words."""
+        name = calibrator_name(self.settings)
+        return METHODS.get(name, name) if name else f"interval method {UNKNOWN}"
+
+    @property
+    def guarantee(self) -> Guarantee:
+        """What the interval method guarantees; of one that is not known, nothing."""
+        kind = calibrator_class(self.settings)
+        return "none" if kind is None else guarantee_of(kind)
+
+    @property
+    def source(self) -> str:
+        """Name, data and method in one cell."""
+        job = f" ({self.distinction})" if self.distinction else ""
+        return f"{self.name}{job}: {self.label}; {self.method}"
+
+    @property
+    def origin(self) -> str:
+        """The command of the run, its seed, commit and data."""
+        command = self.entry("command") or f"command {UNKNOWN} (no {NAME})"
+        seed, commit = (self.entry(key) or UNKNOWN for key in ("seed", "commit"))
+        return f"{self.name}: {command} · seed {seed} · commit {commit} · {self.label}"
+
+    @property
+    def missing(self) -> list[str]:
+        """One sentence for each file that is not there."""
+        lost = {} if self.record else {NAME: "command, commit and what was reused"}
+        lost |= {schema.file: schema.lost for schema in TABLES if schema not in self.tables}
+        return [f"no {file}, hence without {what}" for file, what in lost.items()]
+
+    @cached_property
+    def summary(self) -> PoseErrors | None:
+        """Errors of the whole pose, from the single predictions; None without them."""
+        predictions = self.tables.get(PREDICTIONS)
+        if predictions is None:
+            return None
+        scale = torch.tensor(DOF_SCALE, dtype=torch.float64)
+        truth, estimate = (
+            torch.tensor(predictions[column].to_numpy()).reshape(-1, len(DOF_NAMES)) / scale
+            for column in ("truth", "estimate")
+        )
+        return pose_errors(estimate, truth, int(self.per_dof["n_calibration"].iloc[0]))
+
+    def entry(self, key: str) -> str | None:
+        """An entry of the record as text."""
+        value = self.record.get(key)
+        return None if value is None or value == "" else str(value)
+
+    def setting(self, key: str) -> str | None:
+        """A setting as text, such as ``mcd.passes``."""
+        return setting(self.settings, key)
+
+
+def read_run(folder: Path, name: str = "", distinction: str = "") -> Run:
+    """Read what a run has left; only results.csv must be there.
+
+    Raises:
+        UncalError: the run failed, there are no results, or a file is damaged.
+    """
+    if (folder / FAILED).is_file():
+        reason = " ".join((folder / FAILED).read_text(encoding="utf-8").split())
+        raise UncalError(
+            f"{folder}: this run failed ({reason or 'for a reason unknown'}), so it has nothing to "
+            "compare. Run it again, or leave it out."
+        )
+    if not (folder / RESULTS.file).is_file():
+        raise UncalError(
+            f"{folder}: no {RESULTS.file}, so this is no folder of a finished run. Expected a "
+            "folder that python -m uncal.train or uncal.evaluate has written and named at its end, "
+            "or a multirun's folder with such folders in it."
+        )
+    present = [schema for schema in TABLES if (folder / schema.file).is_file()]
+    tables = {schema: read_csv(folder / schema.file, schema) for schema in present}
+    return Run(folder, read_record(folder) or {}, tables, name, distinction)
+
+
+def setting(settings: Mapping[str, object], key: str) -> str | None:
+    """One of a run's settings as text; None where it is not there."""
+    try:
+        value = OmegaConf.select(OmegaConf.create(dict(settings)), key)
+    except OmegaConfBaseException:  # a reference to something that only lived in the run
+        return None
+    return None if value is None else str(value)
+
+
+def calibrator_name(settings: Mapping[str, object]) -> str | None:
+    """Class of the interval method in a run's settings."""
+    target = setting(settings, "interval.calibrator._target_")
+    return target.rpartition(".")[2] if target else None
+
+
+def calibrator_class(settings: Mapping[str, object]) -> type[IntervalCalibrator] | None:
+    """The interval method in a run's settings; None if it is none of ours."""
+    kind = getattr(uncal.uncertainty, calibrator_name(settings) or "", None)
+    ours = isinstance(kind, type) and issubclass(kind, IntervalCalibrator)
+    return kind if ours else None
+
+
+def recorded_caveat(settings: Mapping[str, object]) -> str | None:
+    """:func:`band_caveat` as far as a run's settings tell; None where they do not."""
+    kind, split_by = calibrator_class(settings), setting(settings, "split.by")
+    if kind is None or split_by is None:
+        return None
+    return band_caveat(guarantee_of(kind), split_by, setting(settings, "split.test") or "own")
+
+
+def _mapping(value: object) -> Mapping[str, object]:
+    return value if isinstance(value, dict) else {}

@@ -1,0 +1,1 @@
+"""What a configuration may say: every key has a reader, every value its bounds, before any work."""

@@ -1,0 +1,176 @@
+"""Keys that nothing reads, found by what the shipped configuration and the classes in it read."""
+
+from __future__ import annotations
+
+import difflib
+import inspect
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from typing import cast
+
+from hydra.utils import get_object
+from omegaconf import DictConfig, OmegaConf
+
+from uncal.errors import ConfigurationError
+
+Tree = Mapping[str, object]
+
+_INTERPOLATION = re.compile(r"\$\{([A-Za-z_][\w.]*)\}")
+_SPECIAL = ("_target_", "_partial_", "_recursive_", "_convert_", "_args_")
+"""What Hydra itself reads beside a ``_target_``."""
+
+
+def refuse_unread(config: DictConfig, reference: DictConfig) -> None:
+    """Refuse keys without a reader.
+
+    A key has one if the reference has it, if the class that its group's ``_target_`` names takes
+    it, or if another value refers to it. Where the reference holds nothing but groups by name
+    (callbacks), there may be more of their kind.
+
+    Args:
+        config: what a user asked for.
+        reference: the shipped configuration with the same choices and no values of the user's.
+
+    Raises:
+        ConfigurationError: names every such key and the nearest known one.
+    """
+    known, asked = _tree(reference), _tree(config)
+    referred = set(_referred(asked))
+    unread = list(_unread(asked, known, "", referred))
+    if unread:
+        names = [path for path, _ in _leaves(known)]
+        raise ConfigurationError("\n".join(_sentence(path, kind, names) for path, kind in unread))
+
+
+def _unread(
+    node: Tree, known: Tree, path: str, referred: set[str]
+) -> Iterator[tuple[str, str | None]]:
+    """Unread keys, each with the name of the class that does not take it, if one is there."""
+    target = node.get("_target_")
+    takes = parameters(target, f"{path}._target_") if isinstance(target, str) else None
+    same = target == known.get("_target_")
+    named = bool(known) and all(isinstance(value, Mapping) for value in known.values())
+    siblings = _union(known.values()) if named else {}
+    for key, value in node.items():
+        here = f"{path}.{key}" if path else key
+        of_target = takes is not None and (takes == ALL or key in takes or key in _SPECIAL)
+        if key in known and (same or of_target):
+            below = known[key]
+            if isinstance(value, Mapping):
+                yield from _below(value, below, here, referred)
+        elif of_target or _is_referred(here, referred):
+            if isinstance(value, Mapping):
+                yield from _below(value, None, here, referred)
+        elif named and isinstance(value, Mapping):
+            yield from _unread(value, {} if "_target_" in value else siblings, here, referred)
+        else:
+            yield here, str(target) if takes is not None else None
+
+
+def _below(
+    value: Tree, known: object, path: str, referred: set[str]
+) -> Iterator[tuple[str, str | None]]:
+    if isinstance(known, Mapping) and known:
+        yield from _unread(value, known, path, referred)
+    elif "_target_" in value:  # in the place of a null, or of a value
+        yield from _unread(value, {}, path, referred)
+
+
+ALL = frozenset({"**"})
+"""Of a class that takes any keyword."""
+
+
+def parameters(target: str, key: str) -> frozenset[str]:
+    """Keywords that a class or function takes; :data:`ALL` where it takes any.
+
+    Args:
+        target: its dotted name.
+        key: that names it, for the message.
+
+    Raises:
+        ConfigurationError: there is no such thing.
+    """
+    signature = signature_of(target, key)
+    if signature is None:
+        return ALL
+    kinds = [parameter.kind for parameter in signature.parameters.values()]
+    return ALL if inspect.Parameter.VAR_KEYWORD in kinds else frozenset(signature.parameters)
+
+
+def signature_of(target: str, key: str) -> inspect.Signature | None:
+    """Signature of a class or function; None where Python knows none.
+
+    Args:
+        target: its dotted name.
+        key: that names it, for the message.
+
+    Raises:
+        ConfigurationError: there is no such thing.
+    """
+    try:
+        return inspect.signature(get_object(target))
+    except (TypeError, ValueError):  # built in
+        return None
+    except Exception as error:
+        reason = str(error).strip().splitlines()
+        raise ConfigurationError(
+            f"{key}={target}: cannot be imported ({reason[-1] if reason else error!r}); expected "
+            "the dotted name of a class, such as package.module.Class"
+        ) from error
+
+
+def _referred(node: object) -> Iterator[str]:
+    """Keys that interpolations in a tree refer to."""
+    if isinstance(node, Mapping):
+        for value in node.values():
+            yield from _referred(value)
+    elif isinstance(node, list):
+        for value in node:
+            yield from _referred(value)
+    elif isinstance(node, str):
+        yield from _INTERPOLATION.findall(node)
+
+
+def _is_referred(path: str, referred: Iterable[str]) -> bool:
+    """Whether a key, a part of it or the group it is in is referred to."""
+    dotted = f"{path}."
+    return any(f"{name}.".startswith(dotted) or dotted.startswith(f"{name}.") for name in referred)
+
+
+def _leaves(node: Tree, path: str = "") -> Iterator[tuple[str, object]]:
+    for key, value in node.items():
+        here = f"{path}.{key}" if path else key
+        yield here, value
+        if isinstance(value, Mapping):
+            yield from _leaves(cast(Tree, value), here)
+
+
+def _union(nodes: Iterable[object]) -> Tree:
+    return {
+        key: value for node in nodes if isinstance(node, Mapping) for key, value in node.items()
+    }
+
+
+def _sentence(path: str, target: str | None, names: list[str]) -> str:
+    group, _, last = path.rpartition(".")
+    if target is not None:
+        taken = parameters(target, group)
+        close = difflib.get_close_matches(last, taken, 1)
+        hint = f"did you mean {group}.{close[0]}?" if close else f"it takes {_listed(taken)}"
+        return f"{path}: {target} does not take it; {hint}"
+    close = difflib.get_close_matches(path, names, 1, cutoff=0.75)
+    ends = {name.rpartition(".")[2]: name for name in reversed(names)}
+    close = close or [ends[end] for end in difflib.get_close_matches(last, ends, 1)]
+    if close:
+        return f"{path}: nothing reads this key; did you mean {close[0]}?"
+    there = [name for name in names if name.rpartition(".")[0] == group]
+    where = group or "the configuration"
+    return f"{path}: nothing reads this key; {where} has {_listed(there)}"
+
+
+def _listed(names: Iterable[str]) -> str:
+    return ", ".join(sorted(name.rpartition(".")[2] for name in names)) or "no keys"
+
+
+def _tree(config: DictConfig) -> Tree:
+    return cast(Tree, OmegaConf.to_container(config, resolve=False))
