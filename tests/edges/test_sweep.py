@@ -59,7 +59,7 @@ def angles(edges: NDArray[np.float32]) -> tuple[Grid, Grid, Grid]:
     return np.arctan2(y, x), np.arctan2(z, np.hypot(x, y)), np.linalg.norm(edges[:, :3], axis=1)
 
 
-PANEL = {"x": 10.0, "left": 1.53, "right": -1.71, "top": 0.93, "bottom": -0.86}
+PANEL = {"x": 10.0, "left": 1.53, "right": -1.71, "top": 0.31, "bottom": -0.86}
 
 
 def wall_with_panel() -> NDArray[np.float32]:
