@@ -63,6 +63,22 @@ def rows(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
+def test_a_model_without_parameters_is_not_trained(tmp_path: Path) -> None:
+    tiny = [override for override in TINY if not override.startswith("mcd.")]
+    options = ["model=edges", "model.search.samples=64", "hydra.run.dir=run"]
+    trained = run("uncal.train", *tiny, *options, cwd=tmp_path)
+
+    assert trained.returncode == 0, trained.stderr
+    assert "No training: this model has no parameters." in trained.stdout
+    checkpoint = tmp_path / "run" / "checkpoints" / "best.ckpt"
+    assert checkpoint.is_file()
+    assert not (tmp_path / "outputs" / "trained").exists()
+
+    evaluated = run("uncal.evaluate", f"ckpt={checkpoint}", "hydra.run.dir=again", cwd=tmp_path)
+
+    assert evaluated.returncode == 0, evaluated.stderr
+
+
 @pytest.fixture(scope="module")
 def workplace(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("runs")

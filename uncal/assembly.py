@@ -21,6 +21,7 @@ from uncal.decalibration import DecalibrationRange
 from uncal.errors import ConfigurationError, FrameError, RecordingError
 from uncal.geometry import DOF_NAMES
 from uncal.models.alignment import AlignmentEstimator
+from uncal.models.edge_alignment import EdgeAlignment, EdgeAlignmentEstimator
 from uncal.models.estimator import PoseEstimator
 from uncal.models.evidence import EvidenceNetwork
 from uncal.models.module import CalibrationModule
@@ -224,6 +225,8 @@ def _estimator(
         return AlignmentEstimator(
             network, decalibration.bounds, list(model.rounds), instantiate(model.learning)
         )
+    if isinstance(network, EdgeAlignment):
+        return EdgeAlignmentEstimator(network, decalibration.bounds, instantiate(model.search))
     return PoseEstimator(
         network,
         decalibration.bounds,
@@ -260,8 +263,8 @@ def _calibrator(config: DictConfig, decalibration: DecalibrationRange) -> Interv
     make = instantiate(config.interval.calibrator)
     kind = make.func
     headless = config.model.get("edges", 0) > 0
-    quantile = "quantile" in str(config.model.head.get("_target_", "")).lower()
-    if kind.needs_bounds and (headless or not quantile):
+    head = str((config.model.get("head") or {}).get("_target_", ""))
+    if kind.needs_bounds and (headless or "quantile" not in head.lower()):
         raise ConfigurationError(
             f"interval: {kind.__name__} widens quantiles that the network gives, and this one "
             f"gives none: add {'model/backbone=mobilevit_xxs ' * headless}model/head=quantile"

@@ -80,7 +80,7 @@ def remember_passes(
     """Keep the stochastic passes of trained weights, and use those that are kept already.
 
     Not with several processes, whose frames differ, nor with fixed masks, which a network must
-    meet itself before it can tell that they fit.
+    meet itself before it can tell that they fit, nor without parameters, where nothing is random.
 
     Args:
         config: the run's configuration.
@@ -88,7 +88,9 @@ def remember_passes(
         trainer: its trainer.
         shared: :func:`uncal.weights.ingredients.data_ingredients`.
     """
-    if config.store is None or trainer.world_size > 1 or module.masks is not None:
+    if not module.learns or config.store is None:
+        return
+    if trainer.world_size > 1 or module.masks is not None:
         return
     named = digest_of(pass_ingredients(config, module, trainer, shared))
     memory = PassMemory(Path(config.store) / "passes" / named, config.mcd.passes)

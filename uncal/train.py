@@ -11,13 +11,14 @@ import hydra
 from omegaconf import DictConfig
 
 from uncal.configuration import CONFIG_DIR, exits_on_error, job_folder, quiet_libraries
-from uncal.errors import UncalError
+from uncal.errors import ConfigurationError, UncalError
 
 if TYPE_CHECKING:
     import lightning
 
     from uncal.data.datamodule import CalibrationDataModule
     from uncal.models.module import CalibrationModule
+    from uncal.weights.obtain import Weights
 
 log = logging.getLogger(__name__)
 
@@ -71,7 +72,9 @@ def main(config: DictConfig) -> float:
         return earlier
     record.begin()
 
-    if config.ckpt is not None or config.store is None:
+    if not module.learns:
+        weights = untrained(config.ckpt)
+    elif config.ckpt is not None or config.store is None:
         last = last_checkpoint(trainer)
         path = fit(trainer, module, data, config.ckpt, f"ckpt={last} and the same settings")
         weights = Weights(path, "", reused=False, trained=None)
@@ -85,17 +88,43 @@ def main(config: DictConfig) -> float:
             retrain=config.retrain,
         )
     with stays_trained(weights.path):
-        load_weights(module, weights.path, calibrated=read_recipe(weights.path) == module.recipe)
+        if weights.learnt:
+            load_weights(
+                module, weights.path, calibrated=read_recipe(weights.path) == module.recipe
+            )
         module.provenance.append(weights.sentence())
         remember_passes(config, module, trainer, shared)
 
         trainer.test(module, datamodule=data, verbose=False)
         if trainer.is_global_zero:
             own = job_folder() / "checkpoints" / weights.path.name
-            if not own.is_file() or not own.samefile(weights.path):
+            if not weights.learnt or not own.is_file() or not own.samefile(weights.path):
                 save_weights(module, own)
             keep_results(record, trainer, module, weights)
     return Report.of(trainer).results.summary.mean_ratio
+
+
+def untrained(start: str | None) -> Weights:
+    """What stands for the weights of a model without parameters.
+
+    Its checkpoint is written after the test, with the calibrator, for :mod:`uncal.evaluate`.
+
+    Args:
+        start: a checkpoint to go on from, which makes no sense here.
+
+    Raises:
+        ConfigurationError: there is one.
+    """
+    from uncal.weights.obtain import Weights
+    from uncal.weights.store import CHECKPOINT
+
+    if start is not None:
+        raise ConfigurationError(
+            f"ckpt={start}: this model has no parameters, so that no training can go on; "
+            "python -m uncal.evaluate tests a checkpoint"
+        )
+    path = job_folder() / "checkpoints" / CHECKPOINT
+    return Weights(path, "", reused=False, trained=None, learnt=False)
 
 
 def fit(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 from torch import Tensor
 from torch.nn import functional as F
@@ -65,3 +67,46 @@ def box_mean(x: Tensor, half: int) -> Tensor:
     padded = F.pad(small, (reach, reach, reach, reach), mode="replicate")
     mean = F.avg_pool2d(F.avg_pool2d(padded, (1, side), 1), (side, 1), 1)
     return F.interpolate(mean, x.shape[-2:], mode="bilinear", align_corners=False)
+
+
+def gaussian_kernels(sigma: Tensor) -> Tensor:
+    """Normalised Gaussians, each cut off at its own three σ, whatever its neighbours are.
+
+    Args:
+        sigma: (B,) pixels.
+
+    Returns:
+        (B, R), R odd.
+
+    >>> gaussian_kernels(torch.tensor([0.1, 1.0])).shape
+    torch.Size([2, 7])
+    """
+    reach = math.ceil(3.0 * float(sigma.max()))
+    offsets = torch.arange(-reach, reach + 1, device=sigma.device, dtype=sigma.dtype)
+    kernels = torch.exp(-0.5 * (offsets / sigma[:, None]).square())
+    kernels = kernels * (offsets.abs() <= (3.0 * sigma).ceil()[:, None])
+    return kernels / kernels.sum(1, keepdim=True)
+
+
+def blurred(maps: Tensor, sigma: Tensor) -> Tensor:
+    """Gaussian blur, of another width for each image; the border repeats.
+
+    Args:
+        maps: (B, C, H, W).
+        sigma: (B,) pixels.
+
+    Returns:
+        The same shape.
+
+    >>> bool((blurred(torch.ones(1, 2, 8, 8), torch.tensor([1.0])) - 1).abs().max() < 1e-5)
+    True
+    """
+    batch, channels, height, width = maps.shape
+    kernels = gaussian_kernels(sigma).repeat_interleave(channels, 0)
+    reach = kernels.shape[1] // 2
+    x = maps.reshape(1, batch * channels, height, width)
+    x = F.pad(x, (reach, reach, 0, 0), mode="replicate")
+    x = F.conv2d(x, kernels[:, None, None, :], groups=len(kernels))
+    x = F.pad(x, (0, 0, reach, reach), mode="replicate")
+    x = F.conv2d(x, kernels[:, None, :, None], groups=len(kernels))
+    return x.view_as(maps)

@@ -81,6 +81,11 @@ class CalibrationModule(lightning.LightningModule):
         self._tested: list[SplitPrediction] = []
         self._validation: list[tuple[Tensor, Tensor, Tensor]] = []
 
+    @property
+    def learns(self) -> bool:
+        """Whether there are parameters to train."""
+        return any(parameter.requires_grad for parameter in self.parameters())
+
     def forward(self, batch: NetworkInput) -> Tensor:
         """Estimate the decalibration of a batch.
 

@@ -36,10 +36,13 @@ APART: tuple[str, ...] = (
     "data/sequence_split.py",
     "data/split_settings.py",
     "models/control.py",
+    "models/edge_alignment.py",
+    "models/pose_search.py",
     "models/inference.py",
     "models/prediction.py",
 )
-"""Files in those folders that only choose frames, whose names count by themselves, or look on."""
+"""Files in those folders that only choose frames, whose names count by themselves, look on, or
+learn nothing."""
 
 _LIBRARIES = ("torch", "lightning", "torchmetrics", "transformers", "uncal")
 

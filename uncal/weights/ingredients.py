@@ -142,6 +142,8 @@ def pass_ingredients(
         "chunk": config.mcd.chunk,
         "seeds": [config.seed, config.mcd.seed],
         "model": _plain(config.model),
+        # Passes go on from an estimate that all frames of a window share.
+        "window": _plain(config.window),
         "precision": str(config.trainer.precision),
         "device": trainer.strategy.root_device.type,
         "code": digest_of_code(INFERENCE_CODE),

@@ -27,15 +27,19 @@ class Weights:
         fingerprint: of what went into them; empty where the user named a checkpoint to go on from.
         reused: whether an earlier run trained them.
         trained: how they came about; None where nothing keeps it.
+        learnt: whether there is anything to learn.
     """
 
     path: Path
     fingerprint: str
     reused: bool
     trained: Trained | None
+    learnt: bool = True
 
     def sentence(self) -> str:
         """For the log and the report."""
+        if not self.learnt:
+            return "No training: this model has no parameters."
         if self.trained is None:
             return (
                 f"Weights of {self.path}."

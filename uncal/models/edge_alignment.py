@@ -1,0 +1,242 @@
+"""Alignment of LiDAR edges with image gradients, nothing learnt: what every network must beat."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from uncal.data.network_input import NetworkInput
+from uncal.decalibration import correct
+from uncal.edges.evidence import NEAREST_M
+from uncal.edges.image import IMAGE_EDGES, blurred, edge_maps
+from uncal.edges.sweep import KIND, KINDS, N_ACROSS, STRENGTH
+from uncal.errors import ConfigurationError, UncalError
+from uncal.geometry import transform_points
+from uncal.models.answer import Answer, Question, State
+from uncal.models.pose_search import LogLikelihood, SearchSettings, search
+
+
+class EdgeAlignment(nn.Module):
+    """How well the edges of a sweep lie on those of an image, as a log-likelihood of the pose.
+
+    The score of a pose is the weighted sum, over the edges, of the blurred edge strength of the
+    image where the pose puts them, above the image's mean: an edge that leaves the image counts
+    neither for nor against. A constant turns the score into a log-likelihood; it stands for how
+    much edges that are near one another repeat one another.
+
+    Args:
+        in_channels: C of the input; only the camera's channels are read.
+        camera_channels: the first channels of the input are the camera's.
+        image_edges: what image gradients are taken of; see :func:`uncal.edges.image.edge_maps`.
+        window: half the side of the area that edges are normalised in, pixels.
+        kinds: weight of each of :data:`~uncal.edges.sweep.KINDS`.
+        blur_deg: width of the blur of each scale, degrees at the image's centre, coarse to fine.
+        rounds: of the search at each scale.
+        sharpness: log-likelihood by score, of each scale.
+
+    Raises:
+        ConfigurationError: a setting is out of its range.
+    """
+
+    reads_edges = True
+    weights: Tensor
+    blur: Tensor
+    sharpness: Tensor
+
+    def __init__(
+        self,
+        in_channels: int,
+        camera_channels: int,
+        image_edges: str,
+        window: int,
+        kinds: Sequence[float],
+        blur_deg: Sequence[float],
+        rounds: Sequence[int],
+        sharpness: Sequence[float],
+    ) -> None:
+        super().__init__()
+        if image_edges not in IMAGE_EDGES:
+            raise ConfigurationError(
+                f"model.image_edges={image_edges}: expected {' or '.join(IMAGE_EDGES)}"
+            )
+        if len(kinds) != len(KINDS) or min(kinds) < 0 or max(kinds) <= 0:
+            raise ConfigurationError(
+                f"model.network.kinds={list(kinds)}: expected a weight, at least 0, for each of "
+                f"{', '.join(KINDS)}"
+            )
+        lengths = {len(blur_deg), len(rounds), len(sharpness)}
+        if lengths != {len(rounds)} or min([*blur_deg, *rounds, *sharpness], default=0) <= 0:
+            raise ConfigurationError(
+                f"model.network: blur_deg={list(blur_deg)}, rounds={list(rounds)}, "
+                f"sharpness={list(sharpness)}: expected positive numbers, as many of each"
+            )
+        self.camera_channels = camera_channels
+        self.image_edges = image_edges
+        self.window = window
+        self.rounds = tuple(rounds)
+        # Buffers, so that a calibrator fitted with other ones is not taken for this one's.
+        self.register_buffer("weights", torch.tensor([float(weight) for weight in kinds]))
+        self.register_buffer("blur", torch.deg2rad(torch.tensor(list(blur_deg))))
+        self.register_buffer("sharpness", torch.tensor([float(value) for value in sharpness]))
+
+    def forward(self, pose: Tensor) -> Tensor:
+        """The pose as it is: the search is over before passes begin, and nothing in it is random.
+
+        Args:
+            pose: (B, 6).
+        """
+        return pose
+
+    def weigh(self, edges: Tensor, T: Tensor) -> Tensor:
+        """How much each edge counts.
+
+        Args:
+            edges: (B, M, columns); rows of NaN pad.
+            T: (B, 4, 4) extrinsics as they are assumed.
+
+        Returns:
+            (B, M); 0 for rows that pad, and for edges beside or behind the camera's plane.
+        """
+        present = ~edges[..., 0].isnan()
+        edges = edges.nan_to_num()
+        ahead = transform_points(T, edges[..., :3])[..., 2] > NEAREST_M
+        strength = edges[..., STRENGTH].clamp(0.02, 1.0).sqrt()
+        return self.weights[edges[..., KIND].long()] * strength * (present & ahead)
+
+    def maps(self, x: Tensor) -> Tensor:
+        """(B, 2, H, W) edge strength across columns and across rows, of (B, C, H, W) input."""
+        return edge_maps(x[:, : self.camera_channels], self.window, self.image_edges)
+
+
+def score(strength: Tensor, edges: Tensor, weights: Tensor, K: Tensor, T: Tensor) -> Tensor:
+    """Weighted sum of the edge strength under projected edges, for many extrinsics at once.
+
+    Args:
+        strength: (B, 2, H, W) across columns and across rows.
+        edges: (B, M, columns) finite.
+        weights: (B, M).
+        K: (B, 3, 3) camera matrices.
+        T: (B, P, 4, 4) extrinsics.
+
+    Returns:
+        (B, P).
+    """
+    height, width = strength.shape[-2:]
+    # One above the other, a row of zeros around each: one look-up serves both directions.
+    tall = F.pad(strength, (0, 0, 1, 1)).flatten(1, 2)[:, None]
+    # All poses' rows in one matrix: nothing is copied once per pose.
+    turned = T[..., :3, :3].flatten(1, 2) @ edges[..., :3].transpose(1, 2)
+    x, y, z = (turned.unflatten(1, (-1, 3)) + T[..., :3, 3:]).unbind(2)
+    z = z.clamp(min=NEAREST_M)
+    column = x / z * K[:, 0, 0, None, None] + K[:, 0, 2, None, None]
+    row = y / z * K[:, 1, 1, None, None] + K[:, 1, 2, None, None]
+    along = (edges[..., KIND] >= N_ACROSS).to(row.dtype)[:, None]
+    row = row.clamp(-1.0, height) + 1.0 + along * (height + 2)
+    # grid_sample's borders are the outer edges of the outermost pixels.
+    grid = torch.stack([(2 * column + 1) / width - 1, (row + 0.5) / (height + 2) - 1], -1)
+    found = F.grid_sample(tall, grid, mode="bilinear", padding_mode="zeros", align_corners=False)
+    return (found[:, 0] @ weights[..., None]).squeeze(-1)
+
+
+class EdgeAlignmentEstimator(nn.Module):
+    """Searches the pose whose edges lie best on the image's; frames of a window are added up.
+
+    Args:
+        network: gives edge strengths and weights.
+        bounds: (6,) range of the decalibrations, metres and radians.
+        settings: of the search.
+    """
+
+    bounds: Tensor
+
+    def __init__(self, network: EdgeAlignment, bounds: Tensor, settings: SearchSettings) -> None:
+        super().__init__()
+        self.network = network
+        self.settings = settings
+        self.register_buffer("bounds", bounds.clone())
+
+    @property
+    def repeated(self) -> nn.Module:
+        """What passes repeat; see :meth:`EdgeAlignment.forward`."""
+        return self.network
+
+    def align(self, batch: NetworkInput) -> State:
+        """Mean and covariance of the pose of every unit.
+
+        Args:
+            batch: B frames of n units.
+
+        Returns:
+            The state, in units of the range.
+        """
+        # Pixels and metres need more than half precision.
+        with torch.no_grad(), torch.autocast(batch.x.device.type, enabled=False):
+            maps = self.network.maps(batch.x.float())
+            weights = self.network.weigh(batch.edges, batch.T_init)
+            edges = batch.edges.nan_to_num()
+            rounds: list[LogLikelihood] = []
+            for level, number in enumerate(self.network.rounds):
+                strength = blurred(maps, self.network.blur[level] * batch.K[:, 0, 0])
+                strength = strength - strength.mean((2, 3), keepdim=True)
+                strength = strength * self.network.sharpness[level]
+                likelihood = partial(self._likelihood, batch, strength, edges, weights)
+                rounds += [likelihood] * number
+            return search(rounds, len(batch.place), self.settings)
+
+    def _likelihood(
+        self, batch: NetworkInput, strength: Tensor, edges: Tensor, weights: Tensor, pose: Tensor
+    ) -> Tensor:
+        """(n, P) of (n, P, 6) poses in units of the range."""
+        move = (pose.to(self.bounds) * self.bounds)[batch.unit]
+        T = correct(batch.T_init[:, None], move)
+        of_frames = score(strength, edges, weights, batch.K, T)
+        return of_frames.new_zeros(len(pose), pose.shape[1]).index_add(0, batch.unit, of_frames)
+
+    def pose(self, batch: NetworkInput) -> Tensor:
+        """(n, 6) estimates, metres and radians.
+
+        Args:
+            batch: B frames of n units.
+        """
+        return self.align(batch).pose * self.bounds
+
+    def question(self, batch: NetworkInput) -> Question:
+        """The whole search; passes have nothing to add.
+
+        Args:
+            batch: B frames of n units.
+        """
+        state = self.align(batch)
+        return Question(((state.pose * self.bounds)[batch.unit],), state)
+
+    def answer(self, samples: Tensor, batch: NetworkInput, question: Question) -> Answer:
+        """The pose of each unit, and its covariance under the search.
+
+        Args:
+            samples: (N, B, 6), the same for all frames of a unit.
+            batch: the same batch.
+            question: what was asked.
+
+        Returns:
+            (N, n, 6) poses and (n, 6, 6) covariance, metres and radians.
+        """
+        assert question.state is not None
+        units = torch.arange(len(batch.place), device=batch.unit.device)
+        first = torch.searchsorted(batch.unit, units)
+        scales = self.bounds[:, None] * self.bounds
+        return Answer(samples[:, first], question.state.covariance * scales)
+
+    def loss(self, batch: NetworkInput) -> Tensor:
+        """There is none.
+
+        Args:
+            batch: not used.
+
+        Raises:
+            UncalError: always.
+        """
+        raise UncalError("model=edges has no parameters, so that there is nothing to train")
