@@ -60,3 +60,13 @@ def test_means_of_squares_with_the_border_repeated() -> None:
     padded = F.pad(x, (2, 2, 2, 2), mode="replicate")
     expected = F.avg_pool2d(padded, 5, 1)
     torch.testing.assert_close(box_mean(x, 2), expected)
+
+
+def test_wide_means_are_nearly_those_of_their_squares() -> None:
+    assert torch.allclose(box_mean(torch.full((1, 2, 30, 50), 0.3), 15), torch.tensor(0.3))
+    torch.manual_seed(0)
+    x = torch.rand(1, 1, 60, 80)
+    expected = F.avg_pool2d(F.pad(x, (15, 15, 15, 15), mode="replicate"), 31, 1)
+    assert (box_mean(x, 15) - expected).abs().max() < 0.1
+    inside = (slice(None), slice(None), slice(20, 40), slice(20, 60))
+    assert (box_mean(x, 15) - expected)[inside].abs().max() < 0.03
