@@ -18,9 +18,6 @@ from uncal.errors import ConfigurationError
 if TYPE_CHECKING:
     import torch
 
-    from uncal.data.network_input import NetworkInput
-    from uncal.models.answer import Estimator
-
 log = logging.getLogger(__name__)
 
 
@@ -37,9 +34,11 @@ def main(config: DictConfig) -> None:
 
     from uncal.assembly import build_module
     from uncal.benchmarking.latency import measure_latency
+    from uncal.benchmarking.made_up import made_up
     from uncal.benchmarking.tables import write_latency, write_trade
     from uncal.benchmarking.trade import measure_trade
     from uncal.memory import keep_freed_memory
+    from uncal.models.answer import Estimator
     from uncal.settings.check import check_settings
 
     keep_freed_memory()
@@ -52,8 +51,7 @@ def main(config: DictConfig) -> None:
     rows, text = [], ""
     for case in filter(None, (config.cases or {}).values()):
         model = compose("train", overrides=[*case.model, "mcd.chunk=auto"])
-        module = build_module(model).to(device).eval()
-        estimator = cast("Estimator", module.estimator)
+        estimator = cast(Estimator, build_module(model).to(device).eval().estimator)
         for batch in case.batches:
             inputs = made_up(tuple(case.size), batch, int(model.model.inputs.edges), device)
             with torch.no_grad():
@@ -102,54 +100,6 @@ def device_name(device: torch.device) -> str:
     import torch
 
     return torch.cuda.get_device_name(device) if device.type == "cuda" else "CPU"
-
-
-def made_up(size: tuple[int, ...], batch: int, edges: int, device: torch.device) -> NetworkInput:
-    """Inputs of the right shapes: noise, a tenth of the pixels with a LiDAR point, edges ahead.
-
-    Args:
-        size: (H, W).
-        batch: B, each frame a unit of its own.
-        edges: M, of a sweep.
-        device: where to.
-
-    Returns:
-        Input of five channels, with (B, M, columns) edges.
-    """
-    import torch
-
-    from uncal.data.network_input import NetworkInput
-    from uncal.edges.sweep import COLUMNS, KIND, KINDS, SIDE
-    from uncal.recordings.frame import FrameId
-
-    generator = torch.Generator().manual_seed(0)
-    height, width = size
-    depth = torch.rand(batch, 1, height, width, generator=generator)
-    inverse_depth = torch.where(depth < 0.1, depth, 0.0)
-    image = torch.randn(batch, 3, height, width, generator=generator)
-    x = torch.cat([image, inverse_depth, inverse_depth], 1)
-    x = x.contiguous(memory_format=torch.channels_last)
-    K = torch.tensor([[230.0, 0.0, width / 2], [0.0, 230.0, height / 2], [0.0, 0.0, 1.0]])
-    T = torch.tensor([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
-    sweep = torch.rand(batch, edges, len(COLUMNS), generator=generator)
-    # Within 20° to either side and 10° up or down, 5 to 40 m away.
-    depth = 5.0 + 35.0 * sweep[..., :1]
-    aside = (2.0 * sweep[..., 1:3] - 1.0) * sweep.new_tensor([0.36, 0.18])
-    sweep[..., :3] = depth * torch.cat([torch.ones_like(depth), aside], -1)
-    sweep[..., KIND] = (len(KINDS) * sweep[..., KIND]).floor()
-    sweep[..., SIDE] = sweep[..., SIDE].round() * 2 - 1
-    places = torch.arange(batch, device=device)
-    return NetworkInput(
-        x=x.to(device),
-        inverse_depth=inverse_depth.to(device),
-        K=K.repeat(batch, 1, 1).to(device),
-        T_init=T.repeat(batch, 1, 1).to(device),
-        target=torch.zeros(batch, 6, device=device),
-        place=places,
-        frames=[FrameId("made", "up", number) for number in range(batch)],
-        unit=places,
-        edges=sweep.to(device),
-    )
 
 
 if __name__ == "__main__":

@@ -2,7 +2,8 @@ import torch
 
 from uncal.data.augmentation import Augmentation, mirror
 from uncal.data.dataset import Batch
-from uncal.edges.sweep import COLUMNS, KIND, KINDS, SIDE
+from uncal.edges.evidence import project_edges
+from uncal.edges.sweep import COLUMNS, KIND, KINDS, N_ACROSS, SIDE
 from uncal.geometry import pose_to_matrix
 from uncal.projection import project
 from uncal.recordings.frame import FrameId
@@ -69,3 +70,24 @@ def test_events_are_mirrored_and_nothing_else() -> None:
     )
     assert changed.camera.dtype == torch.float16
     assert torch.equal(changed.camera, events.flip(-1))
+
+
+def test_mirrored_edges_lie_on_the_mirrored_image() -> None:
+    plain = batch(2)
+    flipped = mirror(plain, torch.tensor([True, False]))
+    before, after = (
+        project_edges(each.edges, each.K, each.T_cam_lidar, (40, 64), torch.ones(6))
+        for each in (plain, flipped)
+    )
+    seen = (before.seen * after.seen).bool()
+    assert (before.seen == after.seen).float().mean() > 0.99
+    assert seen[0].sum() > 20
+    expected = before.pixels.clone()
+    expected[0, :, 0] = 63 - expected[0, :, 0]
+    torch.testing.assert_close(after.pixels[seen], expected[seen], atol=1e-3, rtol=0.0)
+    # Left and right change places, up and down do not.
+    across = plain.edges[..., KIND] < N_ACROSS
+    turned = across & torch.tensor([[True], [False]])
+    assert torch.equal(flipped.edges[..., SIDE], plain.edges[..., SIDE] * (1 - 2 * turned.float()))
+    others = [i for i in range(len(COLUMNS)) if i not in (1, SIDE)]
+    assert torch.equal(flipped.edges[..., others], plain.edges[..., others])

@@ -153,8 +153,17 @@ def test_a_frame_gets_the_same_interval_in_any_batch(kind: str, fixed_masks: boo
     batch = network_input(3)
     subject = module(estimator(kind), fixed_masks)
     together = subject.stochastic(batch, "test")
-    cut = {name: column[2:] for name, column in batch._asdict().items()}
-    alone = NetworkInput(**{**cut, "unit": torch.zeros(1).long()})
+    alone = batch._replace(
+        x=batch.x[2:],
+        inverse_depth=batch.inverse_depth[2:],
+        K=batch.K[2:],
+        T_init=batch.T_init[2:],
+        target=batch.target[2:],
+        place=batch.place[2:],
+        frames=batch.frames[2:],
+        unit=torch.zeros(1).long(),
+        edges=batch.edges[2:],
+    )
     one = subject.stochastic(alone, "test")
     torch.testing.assert_close(one.std[0], together.std[2], rtol=1e-3, atol=1e-6)
     other = subject.stochastic(batch, "validation")

@@ -45,6 +45,7 @@ def wall(left_y: float, right_y: float, bottom: float, top: float) -> Scene:
 @pytest.fixture
 def camera_settings(make_settings: MakeSettings) -> CameraSettings:
     plain = {"noise": 0.0, "vignetting": 0.0, "haze_m": 1e6, "supersampling": 4, "exposure": 1.0}
+    plain |= {"exposure_stops": 0.0, "tint": 0.0, "blur_px": 0.0}
     return make_settings(camera=plain).camera
 
 
@@ -78,6 +79,7 @@ def test_exposure_noise_and_vignetting(make_settings: MakeSettings) -> None:
 
     def picture(**changes: float) -> NDArray[np.uint8]:
         plain = {"noise": 0.0, "vignetting": 0.0, "haze_m": 1e6, "exposure": 1.0}
+        plain |= {"exposure_stops": 0.0, "tint": 0.0, "blur_px": 0.0}
         settings = make_settings(camera=plain | changes).camera
         return Camera(settings, K).photograph(scene, T_WORLD_CAM, np.random.default_rng(0))
 

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from uncal.simulation.lidar import Lidar
+from uncal.simulation.lidar import REVOLUTION_S, Lidar
 from uncal.simulation.meshes import Mesh, Surfaces
 from uncal.simulation.scene import Scene
 from uncal.simulation.settings import LidarSettings, SimulationSettings
@@ -32,7 +32,8 @@ def room(half_size: float, reflectance: float) -> Scene:
 
 
 def lidar_settings(make_settings: MakeSettings, **changes: float) -> LidarSettings:
-    exact = {"range_noise_m": 0.0, "reflectance_noise": 0.0, "dropout": 0.0, "range_min_m": 0.1}
+    noiseless = {"range_noise_m": 0.0, "reflectance_noise": 0.0, "dropout": 0.0}
+    exact = noiseless | {"range_min_m": 0.1, "stagger": False}
     return make_settings(lidar=exact | {"azimuth_fov_deg": 360.0} | changes).lidar
 
 
@@ -101,3 +102,48 @@ def test_reflectance_follows_material_and_incidence(make_settings: MakeSettings)
     frontal = np.abs(bright[:, 1]) < 2
     oblique = np.abs(bright[:, 1]) > 8
     assert bright[frontal, 3].mean() > bright[oblique, 3].mean()
+
+
+def test_returns_are_reported_from_where_the_lidar_then_is(make_settings: MakeSettings) -> None:
+    settings = lidar_settings(make_settings, motion_distortion=True)
+    velocity = np.array([12.0, -3.0, 0.0])
+    lidar = Lidar(settings, np.deg2rad([-5.0, 0.0, 3.0]))
+    rng = np.random.default_rng
+    moving = lidar.sweep(room(10.0, 0.9), np.eye(4), rng(0), velocity).astype(np.float64)
+    assert len(moving) == 3 * 360
+    # Straight ahead it is where the sweep is taken for; a revolution takes 0.1 s.
+    delay = np.arctan2(moving[:, 1], moving[:, 0]) / (2 * np.pi) * REVOLUTION_S
+    world = moving[:, :2] + delay[:, None] * velocity[:2]
+    np.testing.assert_allclose(np.abs(world).max(1), 10.0, rtol=1e-4)
+    assert np.abs(np.abs(moving[:, :2]).max(1) - 10.0).max() > 0.4
+    still = lidar.sweep(room(10.0, 0.9), np.eye(4), rng(0))
+    ahead = np.abs(np.arctan2(moving[:, 1], moving[:, 0])) < np.radians(1)
+    np.testing.assert_allclose(moving[ahead, :3], still[ahead, :3], atol=0.02)
+    off = Lidar(lidar_settings(make_settings, motion_distortion=False), np.deg2rad([0.0]))
+    np.testing.assert_array_equal(
+        off.sweep(room(10.0, 0.9), np.eye(4), rng(0), velocity),
+        off.sweep(room(10.0, 0.9), np.eye(4), rng(0)),
+    )
+
+
+def test_staggered_lasers_look_into_directions_of_their_own(make_settings: MakeSettings) -> None:
+    settings = lidar_settings(make_settings, stagger=True, azimuth_fov_deg=90.0)
+    elevations = [-6.0, -4.0, -2.0, 0.0]
+    points = sweep(settings, room(10.0, 0.9), elevations).reshape(4, 90, 4)
+    azimuth = np.rad2deg(np.arctan2(points[..., 1], points[..., 0]))
+    shift = azimuth - np.arange(-44.5, 45.0)
+    # Each laser by an offset of its own, within half a step.
+    np.testing.assert_allclose(shift, np.repeat(shift[:, :1], 90, 1), atol=1e-3)
+    assert (np.abs(shift) <= 0.5 + 1e-3).all()
+    assert np.diff(np.sort(shift[:, 0])).min() > 0.1
+
+
+def test_a_laser_measures_too_much_by_its_bias(make_settings: MakeSettings) -> None:
+    settings, elevations = lidar_settings(make_settings), np.deg2rad([-5.0, 0.0])
+    scene = room(10.0, 0.9)
+    plain, biased = (
+        Lidar(settings, elevations, bias).sweep(scene, np.eye(4), np.random.default_rng(0))
+        for bias in (None, np.array([0.1, -0.05]))
+    )
+    more = np.linalg.norm(biased[:, :3], axis=1) - np.linalg.norm(plain[:, :3], axis=1)
+    np.testing.assert_allclose(more, np.repeat([0.1, -0.05], 360), atol=1e-4)

@@ -49,8 +49,29 @@ def test_kitti_chain_gives_the_true_extrinsic(tiny_settings: SimulationSettings)
     assert rig.baseline_m > 0.04
 
 
-def test_beams_lie_between_the_limits_in_order(tiny_settings: SimulationSettings) -> None:
-    elevations = np.rad2deg(draw_rig(tiny_settings, 0).elevations)
+def test_beams_lie_between_the_limits_in_order(make_settings: MakeSettings) -> None:
+    elevations = np.rad2deg(draw_rig(make_settings(lidar={"hdl64": False}), 0).elevations)
     assert len(elevations) == 16
     assert (np.diff(elevations) > 0).all()
     np.testing.assert_allclose(elevations, np.linspace(-24.8, 2.0, 16), atol=0.3)
+
+
+def test_a_hdl64_has_two_blocks_of_lasers(make_settings: MakeSettings) -> None:
+    lidar = {"hdl64": True, "beams": 64, "beam_jitter_deg": 0.0}
+    elevations = np.rad2deg(draw_rig(make_settings(lidar=lidar), 0).elevations)
+    assert len(elevations) == 64
+    np.testing.assert_allclose(elevations[[0, 31, 32, 63]], [-24.33, -8.83, -8.33, 2.0])
+    np.testing.assert_allclose(np.diff(elevations[:33]), 0.5)
+    np.testing.assert_allclose(np.diff(elevations[32:]), 1 / 3, atol=1e-3)
+    few = np.rad2deg(draw_rig(make_settings(lidar=lidar | {"beams": 16}), 0).elevations)
+    np.testing.assert_allclose(few[[0, -1]], [-24.33, 2.0])
+    np.testing.assert_allclose(few[5], elevations[21])
+
+
+def test_range_biases_are_the_rigs_own_and_within_their_bound(make_settings: MakeSettings) -> None:
+    settings = make_settings(lidar={"range_bias_m": 0.02})
+    biases = np.array([draw_rig(settings, index).range_bias for index in range(40)])
+    assert biases.shape == (40, 16)
+    assert 0.019 < np.abs(biases).max() <= 0.02
+    assert len(np.unique(biases)) == biases.size
+    assert (draw_rig(make_settings(lidar={"range_bias_m": 0.0}), 0).range_bias == 0).all()
