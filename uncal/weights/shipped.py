@@ -112,7 +112,7 @@ def _reason(error: Exception) -> str:
     """Why a file is no checkpoint, without torch's advice to trust it."""
     if isinstance(error, KeyError):
         return f"it has no {error}"
-    if isinstance(error, UnpicklingError) and "Unsupported" in str(error):
+    if isinstance(error, UnpicklingError) and "allowed global" in str(error):
         return "it is a pickle that may run code, which was refused: nothing of it was run"
     if isinstance(error, UnpicklingError | EOFError | ValueError):
         return "its bytes are not those of a checkpoint"
