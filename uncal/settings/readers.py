@@ -158,12 +158,12 @@ def _sentence(path: str, target: str | None, names: list[str]) -> str:
         close = difflib.get_close_matches(last, taken, 1)
         hint = f"did you mean {group}.{close[0]}?" if close else f"it takes {_listed(taken)}"
         return f"{path}: {target} does not take it; {hint}"
-    close = difflib.get_close_matches(path, names, 1, cutoff=0.75)
-    ends = {name.rpartition(".")[2]: name for name in reversed(names)}
-    close = close or [ends[end] for end in difflib.get_close_matches(last, ends, 1)]
-    if close:
-        return f"{path}: nothing reads this key; did you mean {close[0]}?"
-    there = [name for name in names if name.rpartition(".")[0] == group]
+    there = {name.rpartition(".")[2]: name for name in names if name.rpartition(".")[0] == group}
+    elsewhere = {name.rpartition(".")[2]: name for name in reversed(names)}
+    for known, cutoff in ((there, 0.6), (elsewhere, 0.8)):
+        close = difflib.get_close_matches(last, known, 1, cutoff)
+        if close:
+            return f"{path}: nothing reads this key; did you mean {known[close[0]]}?"
     where = group or "the configuration"
     return f"{path}: nothing reads this key; {where} has {_listed(there)}"
 
