@@ -14,6 +14,7 @@ from omegaconf import DictConfig
 
 from uncal.configuration import CONFIG_DIR, exits_on_error, quiet_libraries
 from uncal.errors import ConfigurationError
+from uncal.settings.command_line import quote_arguments
 
 if TYPE_CHECKING:
     import torch
@@ -103,4 +104,5 @@ def device_name(device: torch.device) -> str:
 
 
 if __name__ == "__main__":
+    quote_arguments()
     main()

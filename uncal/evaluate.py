@@ -11,6 +11,7 @@ from omegaconf import DictConfig
 
 from uncal.configuration import CONFIG_DIR, exits_on_error, job_folder, quiet_libraries
 from uncal.errors import ConfigurationError
+from uncal.settings.command_line import quote_arguments
 
 log = logging.getLogger(__name__)
 
@@ -104,4 +105,5 @@ def chosen_weights(weights: str | None, ckpt: str | None) -> Path:
 
 
 if __name__ == "__main__":
+    quote_arguments()
     main()

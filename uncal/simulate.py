@@ -11,6 +11,7 @@ import hydra
 from omegaconf import DictConfig, OmegaConf
 
 from uncal.configuration import CONFIG_DIR, exits_on_error
+from uncal.settings.command_line import quote_arguments
 
 log = logging.getLogger(__name__)
 
@@ -40,4 +41,5 @@ def main(config: DictConfig) -> None:
 
 
 if __name__ == "__main__":
+    quote_arguments()
     main()

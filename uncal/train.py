@@ -12,6 +12,7 @@ from omegaconf import DictConfig
 
 from uncal.configuration import CONFIG_DIR, exits_on_error, job_folder, quiet_libraries
 from uncal.errors import ConfigurationError, UncalError
+from uncal.settings.command_line import quote_arguments
 
 if TYPE_CHECKING:
     import lightning
@@ -218,4 +219,5 @@ def last_checkpoint(trainer: lightning.Trainer) -> Path | None:
 
 
 if __name__ == "__main__":
+    quote_arguments()
     main()

@@ -1,0 +1,36 @@
+"""Paths are taken as the shell gives them."""
+
+from __future__ import annotations
+
+import sys
+
+import pytest
+from hydra.core.override_parser.overrides_parser import OverridesParser
+
+from uncal.settings.command_line import quote_arguments, quoted
+
+
+@pytest.mark.parametrize(
+    "path",
+    ["out/a=1 b/best.ckpt", "out/lr=0.1,x=2/best.ckpt", "out/é (1)/a=b.ckpt", 'out/"a"=1.ckpt'],
+)
+def test_a_path_reaches_hydra_as_it_is(path: str) -> None:
+    (word,) = quoted([f"ckpt={path}"])
+    assert OverridesParser.create().parse_override(word).value() == path
+
+
+@pytest.mark.parametrize(
+    "word",
+    [
+        *("seed=1", "mcd.passes=5,10", "~logger", "+a.b=[1,2]", "dataset.drives=['2011/*']"),
+        *("ckpt='out/a=1.ckpt'", "--cfg", "-cd=x", "interval.levels=", "a={b: 1}"),
+    ],
+)
+def test_what_hydra_reads_or_nobody_does_is_left_alone(word: str) -> None:
+    assert quoted([word]) == [word]
+
+
+def test_the_processes_own_arguments(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "argv", ["a=b=c.py", "ckpt=a=1.ckpt"])
+    quote_arguments()
+    assert sys.argv == ["a=b=c.py", 'ckpt="a=1.ckpt"']
