@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, NoReturn, TextIO, TypeVar
+from typing import TYPE_CHECKING, Any, TextIO, TypeVar, cast
 
 from tqdm import tqdm
 
@@ -27,7 +27,7 @@ def progress_bar(
     unit: str = "step",
     leave: bool = True,
     quiet: bool = False,
-) -> tqdm[NoReturn]:
+) -> tqdm[Any]:
     """A bar to be advanced by hand.
 
     Args:
@@ -60,23 +60,30 @@ def watched(items: Iterable[T], what: str, *, quiet: bool = False) -> Iterable[T
     return bar
 
 
-def _kind(stream: TextIO) -> tuple[type[tqdm[NoReturn]], float]:
+def _kind(stream: TextIO) -> tuple[type[tqdm[Any]], float]:
     return (tqdm, 0.5) if stream.isatty() else (LogLines, LOG_INTERVAL)
 
 
-def _delay(kind: type[tqdm[NoReturn]]) -> float:
+def _delay(kind: type[tqdm[Any]]) -> float:
     # What is over before a line is due needs none.
     return LOG_INTERVAL if kind is LogLines else 0.0
 
 
-class LogLines(tqdm):  # type: ignore[type-arg]  # of whatever it goes through
+if TYPE_CHECKING:
+    _Bar = tqdm[Any]
+else:
+    _Bar = tqdm
+
+
+class LogLines(_Bar):
     """Lines in place of a bar that rewrites itself, for nohup, CI and batch systems."""
 
     def __init__(self, *args: object, **kwargs: object) -> None:
-        super().__init__(*args, **{"bar_format": _LINE, "dynamic_ncols": False, **kwargs})
+        settings: dict[str, Any] = {"bar_format": _LINE, "dynamic_ncols": False, **kwargs}
+        super().__init__(*cast("tuple[Any, ...]", args), **settings)
 
     @staticmethod
-    def status_printer(file: TextIO) -> Callable[[str], None]:
+    def status_printer(file: Any) -> Callable[[str], None]:  # noqa: ANN401  # as tqdm has it
         """What tqdm shows itself with.
 
         Args:
@@ -102,7 +109,7 @@ class LogLines(tqdm):  # type: ignore[type-arg]  # of whatever it goes through
         if self.disable:
             return
         self.disable = True
-        self._decr_instances(self)
-        shown = self.last_print_t >= self.start_t + self.delay
+        cast(Any, self)._decr_instances(self)
+        shown = self.last_print_t >= self.start_t + cast(float, cast(Any, self).delay)
         if self.n and (self.leave or shown):
             self.sp(str(self))

@@ -15,7 +15,7 @@ def edges_of(*counts: int) -> NDArray[np.float32]:
 
 
 def counts_of(edges: NDArray[np.float32]) -> list[int]:
-    return np.bincount(edges[:, KIND].astype(int), minlength=len(KINDS)).tolist()
+    return [int(n) for n in np.bincount(edges[:, KIND].astype(int), minlength=len(KINDS))]
 
 
 def rows_of(edges: NDArray[np.float32]) -> set[bytes]:

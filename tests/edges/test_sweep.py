@@ -50,7 +50,7 @@ def edges_of(points: NDArray[np.float32], kind: str) -> NDArray[np.float32]:
     found = find_edges(points)
     assert found.dtype == np.float32
     assert found.shape[1] == len(COLUMNS)
-    return found[found[:, KIND] == KINDS.index(kind)]
+    return np.asarray(found[found[:, KIND] == KINDS.index(kind)], np.float32)
 
 
 def angles(edges: NDArray[np.float32]) -> tuple[Grid, Grid, Grid]:

@@ -71,11 +71,15 @@ def rows(whole: NetworkInput, first: int, last: int) -> NetworkInput:
     """Units of single frames of a batch."""
     cut = slice(first, last)
     return NetworkInput(
-        *(whole[i][cut] for i in range(5)),
-        torch.arange(last - first),
-        whole.frames[cut],
-        torch.arange(last - first),
-        whole.edges[cut],
+        x=whole.x[cut],
+        inverse_depth=whole.inverse_depth[cut],
+        K=whole.K[cut],
+        T_init=whole.T_init[cut],
+        target=whole.target[cut],
+        place=torch.arange(last - first),
+        frames=whole.frames[cut],
+        unit=torch.arange(last - first),
+        edges=whole.edges[cut],
     )
 
 

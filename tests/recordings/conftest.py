@@ -93,11 +93,12 @@ def write_bag(make_cloud: Callable[..., object]) -> Callable[..., None]:
         scans: Sequence[tuple[int, NDArray[np.void]]],
         topic: str = "/velodyne_points",
         chunk_bytes: int = 800,
+        compression: str = "LZ4",
     ) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.unlink(missing_ok=True)
         writer = Writer(path)
-        writer.set_compression(Writer.CompressionFormat.LZ4)
+        writer.set_compression(Writer.CompressionFormat[compression])
         with writer:
             writer.chunk_threshold = chunk_bytes
             imu = writer.add_connection("/imu/data", _IMU, typestore=_TYPES)

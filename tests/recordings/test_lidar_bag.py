@@ -44,6 +44,47 @@ def test_finds_every_scan_between_the_other_topics(bag_path: Path) -> None:
         assert n_dropped == 0
 
 
+@pytest.mark.parametrize("compression", ["LZ4", "BZ2"])
+def test_reads_both_compressions(
+    tmp_path: Path, make_scan: MakeScan, write_bag: WriteBag, compression: str
+) -> None:
+    path = tmp_path / "lidar_imu.bag"
+    scans = [(START + 50 * MS * i, make_scan(i)) for i in range(4)]
+    write_bag(path, scans, compression=compression)
+    bag = LidarBag(path)
+    assert [int(bag.read(i)[0][0, 0]) for i in range(len(bag.index))] == [0, 1, 2, 3]
+    assert bag.intensity_note() == ""
+
+
+def test_the_first_scan_says_how_bright_all_are(
+    tmp_path: Path, make_scan: MakeScan, write_bag: WriteBag
+) -> None:
+    path = tmp_path / "lidar_imu.bag"
+    bright, dark = make_scan(0), make_scan(1)
+    bright["intensity"] = [0, 0, 0, 0, 65535]
+    dark["intensity"] = [0, 0, 0, 0, 200]
+    write_bag(path, [(START, bright), (START + 50 * MS, dark)])
+    bag = LidarBag(path)
+    assert bag.read(1)[0][4, 3] == pytest.approx(200 / 65535)
+    assert bag.read(0)[0][4, 3] == 1
+    assert bag.intensity_note() == "intensities beyond 255: read as 0 to 65535"
+
+
+def test_scans_without_intensity_are_read_and_it_is_said(
+    tmp_path: Path, make_scan: MakeScan, write_bag: WriteBag
+) -> None:
+    path = tmp_path / "lidar_imu.bag"
+    fields = ["x", "y", "z", "ring", "time"]
+    scan = make_scan(3)
+    bare = np.empty(len(scan), [(name, scan.dtype[name]) for name in fields])
+    for name in fields:
+        bare[name] = scan[name]
+    write_bag(path, [(START, bare)])
+    bag = LidarBag(path)
+    assert bag.read(0)[0][:, 3].tolist() == [0] * 5
+    assert "no intensity" in bag.intensity_note()
+
+
 def test_measures_the_rate_and_the_gaps(bag_path: Path) -> None:
     index = LidarBag(bag_path).index
     assert index.rate == pytest.approx(20)

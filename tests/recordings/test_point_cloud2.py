@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from uncal.recordings.point_cloud2 import read_points, sweep_end
+from uncal.recordings.point_cloud2 import brightest_of, read_points, sweep_end
 
 MakeScan = Callable[..., NDArray[np.void]]
 MakeCloud = Callable[..., Any]
@@ -73,13 +73,56 @@ def test_short_and_incomplete_messages_are_refused(
     cloud.data = cloud.data[:-1]
     with pytest.raises(ValueError, match=r"holds 109 bytes .* 1×5 points of 22 bytes"):
         read_points(cloud)
-    dim = layout({"x": ("<f4", 0), "y": ("<f4", 4), "z": ("<f4", 8)}, 12)
-    with pytest.raises(ValueError, match="no field intensity; it has x, y, z"):
-        read_points(make_cloud(np.zeros(3, dim)))
+    flat = layout({"x": ("<f4", 0), "y": ("<f4", 4), "intensity": ("<f4", 8)}, 12)
+    with pytest.raises(ValueError, match="no field z; it has x, y, intensity"):
+        read_points(make_cloud(np.zeros(3, flat)))
     cloud = make_cloud(make_scan(7))
     cloud.fields[0].offset = 20
     with pytest.raises(ValueError, match="field x ends at byte 24 of a point of 22"):
         read_points(cloud)
+
+
+def test_without_intensity_the_reflectance_is_zero(make_cloud: MakeCloud) -> None:
+    dim = np.ones(3, layout({"x": ("<f4", 0), "y": ("<f4", 4), "z": ("<f4", 8)}, 12))
+    cloud = make_cloud(dim)
+    points, n_dropped = read_points(cloud, brightest_of(cloud))
+    assert points.tolist() == [[1, 1, 1, 0]] * 3
+    assert n_dropped == 0
+
+
+@pytest.mark.parametrize(
+    ("kind", "values", "reflectance"),
+    [
+        ("<u2", [0, 6553.5, 65535], [0, 0.1, 1]),
+        ("<f4", [0, 300, 65535], [0, 300 / 65535, 1]),
+        ("<u2", [0, 51, 255], [0, 0.2, 1]),
+        ("<f4", [np.nan, 51, 255], [0.2, 1]),
+    ],
+)
+def test_intensities_of_sixteen_bits_are_scaled_by_their_own_range(
+    make_cloud: MakeCloud, kind: str, values: list[float], reflectance: list[float]
+) -> None:
+    fields = {"x": ("<f4", 0), "y": ("<f4", 4), "z": ("<f4", 8), "intensity": (kind, 12)}
+    scan = np.ones(len(values), layout(fields, 16))
+    scan["intensity"] = np.asarray(values).astype(kind)
+    cloud = make_cloud(scan)
+    points, _ = read_points(cloud, brightest_of(cloud))
+    np.testing.assert_allclose(points[:, 3], reflectance, atol=1e-5)
+
+
+def test_an_organised_cloud_may_leave_its_row_step_zero(make_cloud: MakeCloud) -> None:
+    """16 × 1024 with NaN where nothing came back, fields out of the order of their offsets."""
+    dtype = layout(
+        {"z": ("<f4", 8), "intensity": ("<f4", 16), "x": ("<f4", 0), "y": ("<f4", 4)}, 22
+    )
+    scan = np.ones(16 * 1024, dtype)
+    scan["x"] = np.arange(scan.size)
+    scan["z"][::2] = np.nan
+    cloud = make_cloud(scan, rows=16)
+    cloud.row_step = 0
+    points, n_dropped = read_points(cloud)
+    assert n_dropped == scan.size // 2
+    np.testing.assert_array_equal(points[:, 0], np.arange(1, scan.size, 2))
 
 
 @pytest.mark.parametrize(

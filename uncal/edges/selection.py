@@ -36,7 +36,7 @@ def select_edges(edges: NDArray[np.float32], most: int, seed: int) -> NDArray[np
             index = index[np.argsort(-edges[index, 5], kind="stable")[:allowed]]
         kept.append(index)
     order = np.random.default_rng(seed).permutation(np.concatenate(kept))
-    return edges[order]
+    return np.asarray(edges[order], np.float32)
 
 
 def _quotas(counts: NDArray[np.intp], most: int) -> list[int]:

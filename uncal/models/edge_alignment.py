@@ -130,7 +130,7 @@ def score(strength: Tensor, edges: Tensor, weights: Tensor, K: Tensor, T: Tensor
     tall = F.pad(strength, (0, 0, 1, 1)).flatten(1, 2)[:, None]
     # All poses' rows in one matrix: nothing is copied once per pose.
     turned = T[..., :3, :3].flatten(1, 2) @ edges[..., :3].transpose(1, 2)
-    x, y, z = (turned.unflatten(1, (-1, 3)) + T[..., :3, 3:]).unbind(2)
+    x, y, z = (turned.view(len(turned), -1, 3, turned.shape[-1]) + T[..., :3, 3:]).unbind(2)
     z = z.clamp(min=NEAREST_M)
     column = x / z * K[:, 0, 0, None, None] + K[:, 0, 2, None, None]
     row = y / z * K[:, 1, 1, None, None] + K[:, 1, 2, None, None]

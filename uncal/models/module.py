@@ -19,6 +19,7 @@ from uncal.geometry import DOF_NAMES
 from uncal.models.answer import Estimator
 from uncal.models.losses import relative_error
 from uncal.models.prediction import SplitPrediction, frame_seed, join_predictions, pass_names
+from uncal.models.schedule import follow
 from uncal.recordings.frame import FrameId
 from uncal.uncertainty.calibrator import IntervalCalibrator
 from uncal.uncertainty.dropout import only_active
@@ -169,6 +170,10 @@ class CalibrationModule(lightning.LightningModule):
             )
         except UncertaintyError as error:
             log.info("no joint ellipsoid: %s", error)
+
+    def on_train_start(self) -> None:
+        """Follow the schedule from the first step on, also of a resumed training."""
+        follow(config.scheduler for config in self.trainer.lr_scheduler_configs)
 
     def training_step(self, batch: NetworkInput | None, batch_idx: int) -> Tensor | None:
         """One optimisation step; a batch without a readable frame is passed over."""

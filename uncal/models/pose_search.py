@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import cast
 
 import torch
 from torch import Tensor
@@ -151,4 +152,4 @@ def standard_normals(rounds: int, samples: int, seed: int) -> Tensor:
         for number in range(rounds)
     ]
     uniform = torch.stack([engine.draw(samples, dtype=torch.float64) for engine in engines])
-    return torch.special.ndtri(uniform.clamp(smallest, 1.0 - smallest)).float()
+    return cast(Tensor, torch.special.ndtri(uniform.clamp(smallest, 1.0 - smallest)).float())

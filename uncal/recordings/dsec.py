@@ -167,6 +167,8 @@ class Dsec:
         index = bag.index
         self.scan_rates[drive], self.scan_gaps[drive] = index.rate, index.n_gaps
         log.info("drive %s: %d scans at %.2f Hz", drive, len(index), index.rate)
+        if note := bag.intensity_note():
+            log.warning("drive %s: %s", drive, note)
         if index.n_gaps:
             log.warning("drive %s: scans are missing in %d gaps", drive, index.n_gaps)
         if index.n_duplicates:

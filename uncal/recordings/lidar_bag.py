@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import struct
 from collections.abc import Iterator
@@ -20,7 +21,16 @@ from rosbags.typesys.store import Typestore
 
 from uncal.errors import FrameError, RecordingError
 from uncal.recordings.lidar_index import LidarIndex, cached_index
-from uncal.recordings.point_cloud2 import PointCloud2, read_points, sweep_end
+from uncal.recordings.point_cloud2 import (
+    BYTE,
+    PointCloud2,
+    brightest_of,
+    has_intensity,
+    read_points,
+    sweep_end,
+)
+
+log = logging.getLogger(__name__)
 
 TOPIC = "/velodyne_points"
 """DSEC's topic of decoded scans."""
@@ -71,6 +81,31 @@ class LidarBag:
         self.path = path
         self.index: LidarIndex = cached_index(path, index_scans)
         self._opened: tuple[int, Reader] | None = None
+        self._brightest: float | None = None
+        self._has_intensity = True
+
+    def intensity_note(self) -> str:
+        """What a reader must know of the points' reflectance; empty if it is as in DSEC."""
+        brightest = self._full_scale()
+        if not self._has_intensity:
+            return "its points have no intensity: their reflectance is read as 0"
+        if brightest != BYTE:
+            return f"intensities beyond {BYTE:.0f}: read as 0 to {brightest:.0f}"
+        return ""
+
+    def _full_scale(self) -> float:
+        """Of all scans as of the first, so that every loading process reads them alike."""
+        if self._brightest is None:
+            first = int(self.index.message_ns[0])
+            self._brightest = BYTE
+            try:
+                for _, scan in _scans(self._reader(), start=first, stop=first + 1):
+                    self._has_intensity = has_intensity(scan)
+                    self._brightest = brightest_of(scan)
+                    break
+            except _DAMAGE as error:
+                log.warning("%s: its first scan cannot be read (%s)", self.path, error)
+        return self._brightest
 
     def read(self, position: int) -> tuple[NDArray[np.float32], int]:
         """One scan.
@@ -91,7 +126,7 @@ class LidarBag:
             reader = self._reader()
             for _, scan in _scans(reader, start=message_ns, stop=message_ns + 1):
                 if _stamp_ns(scan) == stamp_ns:
-                    points, n_dropped = read_points(scan)
+                    points, n_dropped = read_points(scan, self._full_scale())
                     break
             else:
                 raise ValueError("the bag has changed since it was indexed")

@@ -15,8 +15,11 @@ from numpy.typing import NDArray
 _FORMATS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """PointField.datatype → numpy type, without its byte order."""
 
-_BRIGHTEST = 255.0
+BYTE = 255.0
 """Velodyne's calibrated reflectivity is one byte; its drivers publish it in whatever type."""
+
+WORD = 65535.0
+"""Other makers' intensities have 16 bits."""
 
 _LONGEST_SWEEP_S = 1.0
 """Velodynes turn at 5 to 20 Hz; a larger ``time`` is an absolute time or not in seconds."""
@@ -45,24 +48,54 @@ class PointCloud2(Protocol):
     data: NDArray[np.uint8]
 
 
-def read_points(message: PointCloud2) -> tuple[NDArray[np.float32], int]:
+def read_points(message: PointCloud2, brightest: float = BYTE) -> tuple[NDArray[np.float32], int]:
     """Points of a message; those that are not finite are dropped.
 
     Args:
-        message: with the fields x, y, z (metres) and intensity (0..255), in any order and type.
+        message: with the fields x, y, z (metres) and perhaps intensity, in any order and type.
+        brightest: intensity that stands for a reflectance of 1; see :func:`brightest_of`.
 
     Returns:
-        (N, 4) float32 x, y, z and reflectance in 0..1, and how many points were dropped.
+        (N, 4) float32 x, y, z and reflectance in 0..1, and how many points were dropped. Without
+        the field intensity the reflectance is 0.
 
     Raises:
         ValueError: a field is missing, or the message is shorter than it says.
     """
-    columns = _columns(message, ("x", "y", "z", "intensity"))
-    points = np.stack([column.astype(np.float32) for column in columns], axis=1)
-    points[:, 3] /= _BRIGHTEST
+    names = ("x", "y", "z", "intensity") if has_intensity(message) else ("x", "y", "z")
+    columns = _columns(message, names)
+    points = np.zeros((len(columns[0]), 4), dtype=np.float32)
+    for number, column in enumerate(columns):
+        points[:, number] = column
+    points[:, 3] /= brightest
     finite = np.isfinite(points).all(axis=1)
     n_dropped = int(len(points) - np.count_nonzero(finite))
     return (points[finite] if n_dropped else points), n_dropped
+
+
+def has_intensity(message: PointCloud2) -> bool:
+    """Whether the points say how bright they are."""
+    return any(field.name == "intensity" for field in message.fields)
+
+
+def brightest_of(message: PointCloud2) -> float:
+    """The intensity that stands for a reflectance of 1, judged by one message of a recording.
+
+    Args:
+        message: a sweep.
+
+    Returns:
+        :data:`BYTE`; :data:`WORD` where a value is beyond it.
+
+    Raises:
+        ValueError: the message is shorter than it says.
+    """
+    if not has_intensity(message):
+        return BYTE
+    (column,) = _columns(message, ("intensity",))
+    values = column.astype(np.float64)
+    values = values[np.isfinite(values)]
+    return WORD if values.size and float(values.max()) > BYTE else BYTE
 
 
 def sweep_end(message: PointCloud2) -> float:
@@ -102,11 +135,12 @@ def _columns(message: PointCloud2, names: Sequence[str]) -> list[NDArray[np.gene
     if 0 in shape:
         return [np.empty(0, dtype=np.float32) for _ in names]
     order = ">" if message.is_bigendian else "<"
-    # One row needs no row_step, and some publishers leave it 0.
-    row_step = message.row_step if message.height > 1 else message.width * message.point_step
-    needed = (message.height - 1) * row_step + message.width * message.point_step
+    # One row needs no row_step, and some publishers leave it 0 for many rows too.
+    dense = message.width * message.point_step
+    row_step = message.row_step if message.height > 1 and message.row_step else dense
+    needed = (message.height - 1) * row_step + dense
     data = np.asarray(message.data, dtype=np.uint8)
-    if data.size < needed or row_step < message.width * message.point_step:
+    if data.size < needed or row_step < dense:
         raise ValueError(
             f"the point cloud holds {data.size} bytes in rows of {row_step}, but says it has "
             f"{message.height}×{message.width} points of {message.point_step} bytes"

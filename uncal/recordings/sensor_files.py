@@ -39,7 +39,7 @@ def read_image(path: Path) -> NDArray[np.uint8]:
             "truncated or damaged, copy it again."
         )
     if image.dtype == np.uint16:
-        image = (image >> 8).astype(np.uint8)
+        image = np.right_shift(image.astype(np.uint16), 8).astype(np.uint8)
     channels = 1 if image.ndim == 2 else image.shape[2]
     if image.dtype != np.uint8 or channels not in _TO_RGB:
         raise FrameError(

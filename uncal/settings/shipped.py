@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 from hydra._internal.config_loader_impl import ConfigLoaderImpl
 from hydra._internal.utils import create_config_search_path
 from hydra.core.hydra_config import HydraConfig
@@ -23,10 +25,15 @@ def shipped_config(name: str, choices: dict[str, str]) -> DictConfig:
     Returns:
         The composed configuration, without Hydra's own node.
     """
+    return _shipped(name, tuple(sorted(choices.items()))).copy()
+
+
+@cache
+def _shipped(name: str, choices: tuple[tuple[str, str], ...]) -> DictConfig:
     loader = ConfigLoaderImpl(create_config_search_path(CONFIG_DIR))
     ours = {
         group: option
-        for group, option in choices.items()
+        for group, option in choices
         if group.partition("/")[0] not in ("hydra", GROUP)
         and option in loader.get_group_options(group.partition("@")[0])
     }

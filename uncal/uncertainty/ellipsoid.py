@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from fractions import Fraction
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, cast
 
 import torch
 from torch import Tensor
@@ -115,7 +115,7 @@ def mahalanobis(mean: Tensor, covariance: Tensor, target: Tensor) -> Tensor:
         )
     error = ((target - mean).double() / scale)[..., None]
     whitened = torch.linalg.solve_triangular(factor, error, upper=False)
-    return whitened.square().sum((1, 2)).sqrt().to(mean.dtype)
+    return cast(Tensor, whitened.square().sum((1, 2)).sqrt().to(mean.dtype))
 
 
 def log_volume(covariance: Tensor, radius: Tensor) -> Tensor:
@@ -135,4 +135,4 @@ def log_volume(covariance: Tensor, radius: Tensor) -> Tensor:
     size = covariance.shape[-1]
     unit = size / 2 * math.log(math.pi) - math.lgamma(size / 2 + 1)
     half_log_det = 0.5 * torch.linalg.slogdet(covariance.double()).logabsdet
-    return unit + size * radius.double().log() + half_log_det
+    return cast(Tensor, unit + size * radius.double().log() + half_log_det)

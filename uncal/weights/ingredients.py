@@ -30,6 +30,7 @@ ONLY_SHOWN: tuple[str, ...] = (
     "figures",
     "progress",
     "divergence",
+    "hparams",
     "learning_rate",
     "last",
 )
