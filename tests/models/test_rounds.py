@@ -291,8 +291,8 @@ def test_dropout_takes_whole_blocks_of_the_image() -> None:
     kept = network._kept(projected)[0]
     assert set(kept.tolist()) == {0.0, 2.0}
     block = (projected.pixels[0] / 24).long()
-    for cell in block.unique(dim=0):
-        assert len(kept[(block == cell).all(1)].unique()) == 1
+    for cell in block.unique(dim=0):  # type: ignore[no-untyped-call]
+        assert len(kept[(block == cell).all(1)].unique()) == 1  # type: ignore[no-untyped-call]
     assert (network.eval()._kept(projected) == 1).all()
 
 
