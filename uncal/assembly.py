@@ -301,7 +301,7 @@ def build_trainer(config: DictConfig) -> lightning.Trainer:
         config.trainer,
         callbacks=[instantiate(callback) for callback in callbacks],
         # Of None Lightning makes a logger of its own.
-        logger=instantiate(config.logger) if config.logger else False,
+        logger=instantiate(config.get("logger")) if config.logger else False,
         check_val_every_n_epoch=every,
     )
     return trainer
