@@ -183,8 +183,6 @@ def build_module(config: DictConfig) -> CalibrationModule:
     if config.mcd.insert is not None:
         added = insert_dropout(network, **instantiate(config.mcd.insert))
         log.info("dropout inserted: %s", ", ".join(added))
-    if not isinstance(network, EvidenceNetwork):
-        _refuse_what_needs_a_solver(config)
     decalibration: DecalibrationRange = instantiate(config.decalibration)
     module = CalibrationModule(
         estimator=_estimator(config, network, decalibration),
@@ -227,6 +225,7 @@ def _estimator(
         )
     if isinstance(network, EdgeAlignment):
         return EdgeAlignmentEstimator(network, decalibration.bounds, instantiate(model.search))
+    _refuse_what_needs_a_solver(config)
     return PoseEstimator(
         network,
         decalibration.bounds,
