@@ -22,7 +22,7 @@ Configured = Callable[..., tuple[DictConfig, DictConfig]]
     "choices",
     [
         ["dataset=demo_events", "interval=hierarchical"],
-        ["dataset=dsec", "model/backbone=mobilevit_s", "model/head=mlp", "logger=null"],
+        ["dataset=dsec", "model/backbone=mobilevit_s", "model/head=mlp", "~logger"],
         ["+sweeps=passes", "+model.optimization.optimizer.amsgrad=true"],
         ["+sweeps/network=no_dropout", "dataset=kitti_odometry", "callbacks.overlays=null"],
     ],
