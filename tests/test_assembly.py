@@ -66,7 +66,7 @@ def test_every_event_representation_builds(
         edges=torch.full((2, 5, len(COLUMNS)), torch.nan),
     )
     assert module(inputs).shape == (2, 6)
-    assert config.model.inputs.edges == (1024 if backbone == "edges" else 0)
+    assert config.model.inputs.edges == (2048 if backbone == "edges" else 0)
 
 
 def test_what_needs_a_solver_is_refused_before_anything_is_trained() -> None:

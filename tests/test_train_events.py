@@ -109,6 +109,7 @@ def test_a_stand_in_for_dsec_runs_from_simulation_to_table(workplace: Path) -> N
         "dataset.root=standin",
         "dataset.image_size=[80,208]",
         "model/inputs/events=time_surface",
+        "model/backbone=mobilevit_xxs",
         "model/head=mlp",
         "hydra.run.dir=dsec",
     ]

@@ -60,7 +60,7 @@ def training(root: Path, *overrides: str, frames: int = 6) -> str:
         "mcd.passes=50",
         "mcd.masks=fixed",
         "mcd.seed=7",
-        "mcd.layers=[head.*]",
+        "mcd.layers=['*evidence*']",
         "interval=gaussian",
         "interval=absolute",
         "interval.levels=[0.5]",
@@ -123,7 +123,7 @@ def test_all_callbacks_that_only_look_on_are_configured_ones(root: Path) -> None
         ("interval=gaussian", True),
         ("mcd.passes=7", True),
         ("mcd.seed=7", False),
-        ("mcd.layers=['*head*']", False),
+        ("mcd.layers=['*evidence*']", False),
         ("mcd.strategy=loop", False),
     ],
 )

@@ -89,8 +89,9 @@ class IntervalOverlays(lightning.Callback):
         bounds: tuple[float, float],
         what: str,
     ) -> NDArray[np.uint8] | None:
-        sample = data.datasets["test"][int(tested.place[i])][0]
-        if not isinstance(sample, Sample):
+        frames = data.datasets["test"][int(tested.place[i])]
+        sample = next((each for each in frames if isinstance(each, Sample)), None)
+        if sample is None:
             return None
         estimate, target = tested.mean[i].double(), tested.target[i].double()
         T_init = decalibrate(sample.T_cam_lidar.double(), target)

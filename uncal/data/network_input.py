@@ -64,6 +64,7 @@ class InputSettings:
         events: draws the events; None for a network that reads none.
         events_scale: multiplies what it draws.
         edges: most edges of a sweep that the network is given; 0: it reads none.
+        train_edges: how many of them in training, which cost time there; 0: all.
     """
 
     channels: Sequence[str]
@@ -75,6 +76,7 @@ class InputSettings:
     events: EventRepresentation | None = None
     events_scale: float = 1.0
     edges: int = 0
+    train_edges: int = 0
 
     def __post_init__(self) -> None:
         """Check the channels.
@@ -125,6 +127,7 @@ def make_input(batch: Batch, decalibration: Tensor, settings: InputSettings) -> 
     Raises:
         ConfigurationError: the network reads rgb and the batch holds events, or the reverse.
     """
+    in_training = batch.decalibration is None and settings.train_edges > 0
     T_init = decalibrate(batch.T_cam_lidar, decalibration[batch.unit])
     size = (batch.camera.shape[-2], batch.camera.shape[-1])
     projection = project(batch.points, T_init, batch.K, size)
@@ -146,7 +149,7 @@ def make_input(batch: Batch, decalibration: Tensor, settings: InputSettings) -> 
         place=batch.place,
         frames=batch.frames,
         unit=batch.unit,
-        edges=padded(batch.edges, settings.edges),
+        edges=padded(batch.edges, settings.train_edges if in_training else settings.edges),
     )
 
 

@@ -157,7 +157,12 @@ def joint_table(
     """One row per level: how often the whole pose is held."""
     return table(
         [
-            {**_joint_row(test, level), **_ellipsoid_columns(test, level, ellipsoid)}
+            {
+                **_joint_row(test, level),
+                **_ellipsoid_columns(test, level, ellipsoid),
+                "n_test": test.n,
+                "n_calibration": test.m,
+            }
             for level in levels
         ]
     )
@@ -279,8 +284,6 @@ def _joint_row(test: Evaluation, level: float) -> dict[str, object]:
         "joint_in_band": band["in_band"],
         "bonferroni": 100 * _held(test, bonferroni) / test.n,
         "bonferroni_size": size.item(),
-        "n_test": test.n,
-        "n_calibration": test.m,
     }
 
 
