@@ -293,14 +293,15 @@ def build_trainer(config: DictConfig) -> lightning.Trainer:
     epochs = config.trainer.max_epochs
     every = validation_interval(epochs, config.dataset.validations)
     callbacks = [callback for callback in config.callbacks.values() if callback]
-    if not config.get("logger"):
+    logger = config.get("logger")  # ~logger takes it away
+    if not logger:
         # Lightning would refuse it at the first step: it has nothing to log to.
         callbacks = [c for c in callbacks if not c._target_.endswith(".LearningRateMonitor")]
     trainer: lightning.Trainer = instantiate(
         config.trainer,
         callbacks=[instantiate(callback) for callback in callbacks],
         # Of None Lightning makes a logger of its own.
-        logger=instantiate(config.get("logger")) if config.get("logger") else False,
+        logger=instantiate(logger) if logger else False,
         check_val_every_n_epoch=every,
     )
     return trainer

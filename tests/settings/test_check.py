@@ -11,7 +11,7 @@ from omegaconf import DictConfig, OmegaConf
 from uncal.configuration import CONFIG_DIR
 from uncal.errors import ConfigurationError
 from uncal.settings.bounds import BOUNDS
-from uncal.settings.check import refuse_values
+from uncal.settings.check import refuse_removed, refuse_values
 
 Configured = Callable[..., tuple[DictConfig, DictConfig]]
 
@@ -121,6 +121,16 @@ def test_refusals(configured: Configured, words: list[str], said: str) -> None:
 )
 def test_what_is_right_passes(configured: Configured, choices: list[str], words: list[str]) -> None:
     refuse_values(*configured("train", *words, choices=choices))
+
+
+def test_what_a_run_reads_cannot_be_taken_away(configured: Configured) -> None:
+    _, shipped = configured("train")
+    fine = ["~logger", "~callbacks.overlays", "~model.optimization.optimizer.weight_decay", "a=1"]
+    refuse_removed(fine, shipped)
+    wrong = ["~mcd.passes", "~seed", "~dataset", "~model/head", "~callbacks.report"]
+    with pytest.raises(ConfigurationError) as refused:
+        refuse_removed([*fine, *wrong], shipped)
+    assert [line.split(":")[0] for line in str(refused.value).splitlines()] == wrong
 
 
 def test_other_entry_points(configured: Configured) -> None:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import sys
+from pathlib import Path
 
 import pytest
 from hydra.core.override_parser.overrides_parser import OverridesParser
 
-from uncal.settings.command_line import quote_arguments, quoted
+from uncal.settings.command_line import quote_arguments, quoted, readable
 
 
 @pytest.mark.parametrize(
@@ -30,7 +31,13 @@ def test_what_hydra_reads_or_nobody_does_is_left_alone(word: str) -> None:
     assert quoted([word]) == [word]
 
 
+def test_no_group_is_said_as_no_key_is(tmp_path: Path) -> None:
+    (tmp_path / "model" / "head").mkdir(parents=True)
+    words = ["model=null", "model/head=null", "model.head=null", "logger=null", "+model=x"]
+    assert readable(words, tmp_path) == ["~model", "~model/head", *words[2:]]
+
+
 def test_the_processes_own_arguments(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "argv", ["a=b=c.py", "ckpt=a=1.ckpt"])
+    monkeypatch.setattr(sys, "argv", ["a=b=c.py", "ckpt=a=1.ckpt", "logger=null"])
     quote_arguments()
-    assert sys.argv == ["a=b=c.py", 'ckpt="a=1.ckpt"']
+    assert sys.argv == ["a=b=c.py", 'ckpt="a=1.ckpt"', "~logger"]

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import cast
 
+from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
@@ -43,6 +44,7 @@ def check_settings(config: DictConfig) -> None:
     shipped = shipped_for_this_job()
     if shipped is not None:
         refuse_unread(config, shipped)
+        refuse_removed(HydraConfig.get().overrides.task, shipped)
     refuse_values(config, shipped)
 
 
@@ -66,6 +68,32 @@ def refuse_values(config: DictConfig, shipped: DictConfig | None) -> None:
     wrong += _between(config)
     if wrong:
         raise ConfigurationError("\n".join(dict.fromkeys(wrong)))
+
+
+def refuse_removed(words: Sequence[str], shipped: DictConfig) -> None:
+    """Refuse ``~key`` of a key that the run reads.
+
+    What a class takes may have a default of its own; callbacks and the logger may go.
+
+    Args:
+        words: overrides of the command line.
+        shipped: the shipped configuration with the same choices.
+
+    Raises:
+        ConfigurationError: names them.
+    """
+    wrong = []
+    for word in words:
+        key = word[1:].partition("=")[0].replace("/", ".")
+        if not word.startswith("~") or key == "logger":
+            continue
+        group = OmegaConf.select(shipped, key.rpartition(".")[0]) if "." in key else None
+        of_class = isinstance(group, DictConfig) and "_target_" in group
+        named = isinstance(group, DictConfig) and all(map(OmegaConf.is_dict, group.values()))
+        if key in NEEDED or not (of_class or named):
+            wrong.append(f"{word}: the run reads {key}; leave it, or give it another value")
+    if wrong:
+        raise ConfigurationError("\n".join(wrong))
 
 
 def _faults(

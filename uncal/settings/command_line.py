@@ -2,16 +2,30 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Iterable
+from pathlib import Path
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 
+from uncal.configuration import CONFIG_DIR
+
 
 def quote_arguments() -> None:
-    """Put quotes into this process's arguments where Hydra needs them; before ``main()``."""
-    sys.argv[1:] = quoted(sys.argv[1:])
+    """Make this process's arguments readable for Hydra; before ``main()``."""
+    sys.argv[1:] = readable(sys.argv[1:], Path(CONFIG_DIR))
+
+
+def readable(words: Iterable[str], groups: Path) -> list[str]:
+    """What a person means, in Hydra's words: quotes where it needs them, ``~`` for no group.
+
+    Args:
+        words: of the command line.
+        groups: folder of the configuration groups.
+    """
+    return [_without_group(word, groups) for word in quoted(words)]
 
 
 def quoted(words: Iterable[str]) -> list[str]:
@@ -33,6 +47,13 @@ def _quoted(word: str) -> str:
     escaped = value.replace("\\", "\\\\").replace('"', '\\"')
     candidate = f'{key}="{escaped}"'
     return candidate if _is_read(candidate) else word
+
+
+def _without_group(word: str, groups: Path) -> str:
+    # Of a group Hydra refuses null with a traceback; of a key it takes it.
+    key, _, value = word.partition("=")
+    is_group = re.fullmatch(r"\w+(/\w+)*", key) is not None and (groups / key).is_dir()
+    return f"~{key}" if is_group and value.lower() == "null" else word
 
 
 def _is_read(word: str) -> bool:

@@ -110,11 +110,11 @@ def load_checkpoint(path: Path) -> tuple[dict[str, Tensor], DictConfig]:
 
 def _reason(error: Exception) -> str:
     """Why a file is no checkpoint, without torch's advice to trust it."""
-    if isinstance(error, KeyError) and isinstance(error.args[0], str):
+    if isinstance(error, KeyError) and error.args[0] in ("state_dict", "uncal_recipe"):
         return f"it has no {error}"
     if isinstance(error, UnpicklingError) and "allowed global" in str(error):
         return "it is a pickle that may run code, which was refused: nothing of it was run"
-    if isinstance(error, UnpicklingError | EOFError | LookupError | ValueError):
-        return "its bytes are not those of a checkpoint"
-    lines = str(error).splitlines()
-    return lines[0] if lines else type(error).__name__
+    if isinstance(error, OSError):
+        return str(error.strerror or error)
+    # The unpickler stumbles over other bytes in any way.
+    return "its bytes are not those of a checkpoint"
