@@ -58,8 +58,8 @@ def test_simulates_then_reuses_and_leaves_nothing_else(tmp_path: Path) -> None:
         ("root=mine", "no simulation.json"),
         ("simulation.camera.height=0", "simulation.camera.height is 0; it must lie between 8"),
         ("+simulation.lidar.beam=3", "did you mean simulation.lidar.beams?"),
-        ("workers=0", "workers is 0"),
-        ("workers=many", "workers is 'many'; it must be at least 1"),
+        ("workers=0", "workers=0: expected a whole number from 1 to 256 or null"),
+        ("workers=many", "workers=many: expected a whole number from 1 to 256 or null"),
     ],
 )
 def test_errors_are_one_message(

@@ -13,6 +13,8 @@ from uncal.configuration import CONFIG_DIR
 
 ROOT = Path(__file__).parents[1]
 SWEEPS = sorted(path.stem for path in (ROOT / "sweeps").glob("*.yaml"))
+SINGLE = ("full_muliev", "full_unical")
+"""One training each, not a multirun."""
 
 
 def composed(entry_point: str, *overrides: str) -> DictConfig:
@@ -30,7 +32,8 @@ def test_the_sweeps_are_the_documented_ones() -> None:
 
 @pytest.mark.parametrize(
     ("entry_point", "name"),
-    [("train", name) for name in SWEEPS] + [("evaluate", "passes"), ("evaluate", "gaussian")],
+    [("train", name) for name in SWEEPS if name not in SINGLE]
+    + [("evaluate", "passes"), ("evaluate", "gaussian")],
 )
 def test_first_jobs_and_last_compose(entry_point: str, name: str) -> None:
     config = composed(entry_point, f"+sweeps={name}")
@@ -40,6 +43,15 @@ def test_first_jobs_and_last_compose(entry_point: str, name: str) -> None:
         assert len(set(values)) == len(values) > 1, key
     for which in (0, 1, -1):
         composed(entry_point, f"+sweeps={name}", *(f"{k}={v[which]}" for k, v in params.items()))
+
+
+@pytest.mark.parametrize("name", SINGLE)
+def test_the_trainings_of_shipped_weights_compose(name: str) -> None:
+    config = composed("train", f"+sweeps={name}")
+    assert config.hydra.mode != RunMode.MULTIRUN
+    camera = config.dataset.simulation.camera
+    assert list(config.dataset.image_size) == [camera.height, camera.width]
+    assert config.model.name == name.removeprefix("full_")
 
 
 def test_only_the_vertical_resolution_changes_with_the_beams() -> None:

@@ -53,7 +53,7 @@ def multirun(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
 def test_parallel_jobs_end_as_those_in_turn_do(launcher: tuple[str, ...], tmp_path: Path) -> None:
     finished = multirun(tmp_path, *launcher)
     assert finished.returncode == 1, finished.stderr[-4000:]
-    assert "0 stochastic passes" in finished.stderr
+    assert "mcd.passes=0: expected a whole number from 1" in finished.stderr
     assert "thread(s) per job" in finished.stdout
 
     many = tmp_path / "many"
@@ -65,7 +65,7 @@ def test_parallel_jobs_end_as_those_in_turn_do(launcher: tuple[str, ...], tmp_pa
     text = (many / "summary.md").read_text(encoding="utf-8")
     assert f"python -m uncal.train {' '.join(SWEPT)}" in text
     assert "Jobs: 3, with results: 2." in text
-    assert "- `1` (mcd.passes=0): 0 stochastic passes" in text
+    assert "- `1` (mcd.passes=0): mcd.passes=0: expected a whole number from 1" in text
     assert "![Interval score against stochastic passes](figures/interval_score.png)" in text
     assert (many / "figures" / "interval_score.pdf").is_file()
     assert not list(tmp_path.rglob("*.partial"))

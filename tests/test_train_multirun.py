@@ -40,7 +40,7 @@ def test_two_values_are_summarised_and_a_failed_one_is_named(tmp_path: Path) -> 
         check=False,
     )
     assert finished.returncode == 1
-    assert "0 stochastic passes" in finished.stderr
+    assert "mcd.passes=0: expected a whole number from 1" in finished.stderr
     assert "Traceback" not in finished.stderr
 
     with (tmp_path / "many" / "summary.csv").open(encoding="utf-8") as file:
@@ -57,4 +57,4 @@ def test_two_values_are_summarised_and_a_failed_one_is_named(tmp_path: Path) -> 
     text = (tmp_path / "many" / "summary.md").read_text(encoding="utf-8")
     assert text.startswith("# Multirun on simulated street-scene data")
     assert f"python -m uncal.train -m {swept}" in text
-    assert "- `1` (mcd.passes=0): 0 stochastic passes" in text
+    assert "- `1` (mcd.passes=0): mcd.passes=0: expected a whole number from 1" in text
