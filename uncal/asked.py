@@ -10,6 +10,9 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 OWN: tuple[str, ...] = ("weights", "ckpt", "refit", "store", "trainer", "callbacks", "logger")
 """Top-level keys that an evaluation has for itself."""
 
+NOTHING_TRAINS: tuple[float, float, float, float] = (0.01, 0.01, 0.58, 0.40)
+"""Shares of new recordings: all that can be calibrates the uncertainty and tests."""
+
 
 def with_settings_of(
     config: DictConfig, recipe: DictConfig, overrides: Sequence[str], kept: Sequence[str]
@@ -17,8 +20,9 @@ def with_settings_of(
     """The settings that weights were trained with, but for what the user asks for.
 
     A group chosen on the command line (``dataset=kitti``) replaces the weights' group whole; a key
-    (``mcd.passes=50``) replaces that key. New recordings bring their own split, and their images
-    are brought to the focal length that the weights know.
+    (``mcd.passes=50``) replaces that key. New recordings bring their own split, by default with
+    next to nothing for the training that they do not do, and their images are brought to the focal
+    length that the weights know.
 
     Args:
         config: as composed from the command line.
@@ -46,6 +50,8 @@ def with_settings_of(
             run.dataset.focal_px = focal_of(recipe)
             if "dataset.image_size" not in asked:
                 run.dataset.image_size = None
+            if "split.fractions" not in asked and "split" not in groups:
+                run.split.fractions = list(NOTHING_TRAINS)
         elif "dataset.root" in asked and "recording" in run.dataset:
             run.dataset.recording.root = run.dataset.root
         if "dataset.loader.workers" in asked and not other_data:
