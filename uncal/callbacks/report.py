@@ -102,6 +102,12 @@ def run_notes(module: CalibrationModule, data: CalibrationDataModule) -> list[st
             f"One estimate per window of {data.window.frames} consecutive frames ({counts} "
             "windows): the numbers below count windows, and intervals are calibrated on windows."
         )
+        units = [unit for name in WINDOWED for unit in data.units[name]]
+        if shorter := sum(len(unit) < data.window.frames for unit in units):
+            notes.append(
+                f"{shorter} of the {len(units)} windows have fewer than {data.window.frames} "
+                "frames: their drives (or what a split holds of them) are no longer."
+            )
     if module.spread != "dropout":
         notes.append(SPREAD_NOTES[module.spread])
     if data.split_note:
