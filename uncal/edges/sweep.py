@@ -51,7 +51,7 @@ _NEIGHBOUR_STEPS = 2.5
 _OUTLINE_STEPS = 6.0
 """At least so many steps without a return are an outline against what returns nothing."""
 
-_ROWS_ALONG = np.radians(1.3)
+_ROWS_ALONG = np.radians(2.5)
 """Lasers further apart than this say little about where an edge between them lies."""
 
 
