@@ -112,7 +112,8 @@ def test_returns_are_reported_from_where_the_lidar_then_is(make_settings: MakeSe
     moving = lidar.sweep(room(10.0, 0.9), np.eye(4), rng(0), velocity).astype(np.float64)
     assert len(moving) == 3 * 360
     # Straight ahead it is where the sweep is taken for; a revolution takes 0.1 s.
-    delay = np.arctan2(moving[:, 1], moving[:, 0]) / (2 * np.pi) * REVOLUTION_S
+    # A Velodyne turns clockwise.
+    delay = -np.arctan2(moving[:, 1], moving[:, 0]) / (2 * np.pi) * REVOLUTION_S
     world = moving[:, :2] + delay[:, None] * velocity[:2]
     np.testing.assert_allclose(np.abs(world).max(1), 10.0, rtol=1e-4)
     assert np.abs(np.abs(moving[:, :2]).max(1) - 10.0).max() > 0.4

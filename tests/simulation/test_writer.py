@@ -15,6 +15,7 @@ from uncal.simulation import writer
 from uncal.simulation.kitti_layout import KittiLayout
 from uncal.simulation.rig import draw_rig
 from uncal.simulation.settings import SimulationSettings
+from uncal.simulation.trajectory import drive_speed
 from uncal.simulation.writer import simulate
 
 MakeSettings = Callable[..., SimulationSettings]
@@ -34,7 +35,12 @@ def test_layout_is_kittis(tiny_settings: SimulationSettings, tiny_simulation: Pa
         rig = draw_rig(tiny_settings, index)
         np.testing.assert_allclose(raw.calib.T_cam2_velo, rig.T_cam_lidar, atol=1e-9)
         assert len(raw.timestamps) == len(raw.cam2_files) == len(raw.velo_files) == 3
-        assert (raw.timestamps[1] - raw.timestamps[0]).total_seconds() == pytest.approx(0.4)
+        seconds = (raw.timestamps[1] - raw.timestamps[0]).total_seconds()
+        speed = drive_speed(tiny_settings, index, 0)
+        assert seconds * speed == pytest.approx(0.4 * 12.5, rel=1e-5)
+        assert np.hypot(raw.oxts[0].packet.vf, raw.oxts[0].packet.vl) == pytest.approx(
+            speed, rel=1e-3
+        )
         image = cv2.imread(raw.cam2_files[2])
         assert image is not None
         assert image.shape == (24, 64, 3)

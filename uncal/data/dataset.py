@@ -20,6 +20,7 @@ from uncal.edges.sweep import COLUMNS, find_edges
 from uncal.errors import FrameError
 from uncal.events.representations import EventRepresentation
 from uncal.recordings.frame import Frame, FrameId, Recording
+from uncal.recordings.motion import untwisted
 
 _LARGEST = torch.finfo(torch.float16).max
 
@@ -188,8 +189,11 @@ class FrameDataset(Dataset[Item]):
             camera, K = self._camera(frame)
         except FrameError as error:
             return SkippedFrame(frame_id, str(error))
+        points = frame.points
+        if frame.twist is not None:
+            points = untwisted(points, frame.twist)
         near = frustum_mask(
-            frame.points[:, :3],
+            points[:, :3],
             frame.T_cam_lidar,
             K,
             self.image_size,
@@ -200,7 +204,7 @@ class FrameDataset(Dataset[Item]):
             place=index,
             frame=frame_id,
             camera=camera,
-            points=torch.from_numpy(frame.points[near]),
+            points=torch.from_numpy(points[near]),
             edges=torch.from_numpy(self._edges(frame, K)),
             K=torch.from_numpy(K.astype(np.float32)),
             T_cam_lidar=torch.from_numpy(frame.T_cam_lidar.astype(np.float32)),
@@ -211,7 +215,10 @@ class FrameDataset(Dataset[Item]):
         """Those that some decalibration within the range can bring into the image."""
         if self.edges == 0:
             return np.empty((0, len(COLUMNS)), np.float32)
+        # Neighbours are neighbours in the sweep as it was measured.
         edges = find_edges(frame.points)
+        if frame.twist is not None:
+            edges = untwisted(edges, frame.twist)
         near = frustum_mask(
             edges[:, :3],
             frame.T_cam_lidar,

@@ -15,6 +15,7 @@ from uncal.recordings.calibration_files import CameraCalibration
 from uncal.recordings.folder_listing import list_indices
 from uncal.recordings.frame import Frame, FrameId
 from uncal.recordings.image_sizes import usual_size
+from uncal.recordings.motion import read_oxts
 from uncal.recordings.sensor_files import read_image, read_scan
 
 
@@ -31,6 +32,8 @@ class DriveFolder:
         calibration: of the camera that took the images.
         times: file of timestamps, line by line those of frame 0, 1, ...
         read_times: its parser; frames beyond its last line have no time.
+        motion: folder of one ``.txt`` a frame that says how the vehicle moves; None: not known.
+        R_lidar_imu: (3, 3) rotation of what they are given in → LiDAR; None: none.
     """
 
     rig: str
@@ -41,6 +44,8 @@ class DriveFolder:
     calibration: CameraCalibration
     times: Path
     read_times: Callable[[Path], NDArray[np.float64]]
+    motion: Path | None = None
+    R_lidar_imu: NDArray[np.float64] | None = None
 
     def image_path(self, index: int) -> Path:
         """The image of frame ``index``."""
@@ -49,6 +54,13 @@ class DriveFolder:
     def scan_path(self, index: int) -> Path:
         """The scan of frame ``index``."""
         return self.scans / f"{index:0{self.digits}d}.bin"
+
+    def twist(self, index: int) -> NDArray[np.float64] | None:
+        """How the LiDAR moves at frame ``index``; see :class:`~uncal.recordings.frame.Frame`."""
+        if self.motion is None:
+            return None
+        rotation = np.eye(3) if self.R_lidar_imu is None else self.R_lidar_imu
+        return read_oxts(self.motion / f"{index:0{self.digits}d}.txt", rotation)
 
 
 class FolderRecording:
@@ -92,8 +104,8 @@ class FolderRecording:
             The frame; non-finite points are dropped and counted.
 
         Raises:
-            FrameError: the image or the scan is missing, truncated or unreadable, or the image
-                has another size than the one that the calibration is for.
+            FrameError: the image, the scan or the record of motion is missing, truncated or
+                unreadable, or the image has another size than the calibration is for.
             RecordingError: the recording has no such drive.
         """
         key = (frame_id.rig, frame_id.drive)
@@ -114,6 +126,7 @@ class FolderRecording:
             T_cam_lidar=drive.calibration.T_cam_lidar.copy(),
             time=self._time(drive, frame_id.index),
             n_dropped=n_dropped,
+            twist=drive.twist(frame_id.index),
         )
 
     def _list_drive(self, drive: DriveFolder, stride: int) -> None:

@@ -44,6 +44,8 @@ class Frame:
         time: seconds; NaN where the recording has no timestamps.
         n_dropped: points of the sweep left out because they were not finite.
         events: what an event camera saw before the sweep; None for an image.
+        twist: (6,) velocity and turn rate of the LiDAR in its own frame, metres and radians per
+            second, to undo the sweep's distortion; None where it is unknown or already undone.
     """
 
     id: FrameId
@@ -54,6 +56,7 @@ class Frame:
     time: float
     n_dropped: int = 0
     events: Events | None = None
+    twist: NDArray[np.float64] | None = None
 
     @property
     def drive(self) -> str:

@@ -7,6 +7,7 @@
         image_02/data/0000000000.png             image_00, 01 grey; image_02, 03 colour
         image_02/timestamps.txt                  optional
         velodyne_points/data/0000000000.bin      float32 x, y, z, reflectance
+        oxts/data/0000000000.txt                 optional: velocities, to undo the sweep's motion
 """
 
 from __future__ import annotations
@@ -15,9 +16,12 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from uncal.errors import ConfigurationError, RecordingError
-from uncal.recordings.calibration_files import raw_calibration
-from uncal.recordings.folder_listing import choose, contents, subfolders
+from uncal.recordings.calibration_files import raw_calibration, read_calibration_file
+from uncal.recordings.folder_listing import choose, contents, list_indices, subfolders
 from uncal.recordings.folder_recording import DriveFolder, FolderRecording
 from uncal.recordings.sensor_files import read_clock_times
 
@@ -37,6 +41,8 @@ class KittiRaw(FolderRecording):
         stride: keep every ``stride``-th frame of each drive.
         drives: which drives, all if None: folder names (``2011_09_26_drive_0001_sync``), short
             names (``2011_09_26/0001``) or shell patterns of either (``2011_09_26/*``).
+        untwist: read the vehicle's motion where a drive has ``oxts``, so that what it does to the
+            sweep is undone; see :mod:`uncal.recordings.motion`.
 
     Raises:
         RecordingError: the root, the drives, the frames or the calibration are not there.
@@ -49,6 +55,7 @@ class KittiRaw(FolderRecording):
         camera: str = "image_02",
         stride: int = 1,
         drives: Sequence[str] | None = None,
+        untwist: bool = True,
     ) -> None:
         """Find the drives and read their calibration; no frame is opened."""
         if camera not in CAMERAS:
@@ -59,6 +66,7 @@ class KittiRaw(FolderRecording):
         calibrations = {
             date: raw_calibration(root / date, number) for date in dict.fromkeys(map(_date, chosen))
         }
+        rotations = {date: _imu_rotation(root / date) for date in calibrations}
         super().__init__(
             (
                 DriveFolder(
@@ -70,11 +78,25 @@ class KittiRaw(FolderRecording):
                     calibration=calibrations[_date(drive)],
                     times=root / _date(drive) / drive / camera / "timestamps.txt",
                     read_times=read_clock_times,
+                    motion=_motion(root / _date(drive) / drive) if untwist else None,
+                    R_lidar_imu=rotations[_date(drive)],
                 )
                 for drive in chosen
             ),
             stride,
         )
+
+
+def _motion(drive: Path) -> Path | None:
+    """Folder of the OXTS files; None where a drive has none."""
+    folder = drive / "oxts" / "data"
+    return folder if list_indices(folder, 10, ".txt") else None
+
+
+def _imu_rotation(date_folder: Path) -> NDArray[np.float64] | None:
+    """(3, 3) IMU → LiDAR; None where the date folder does not say."""
+    path = date_folder / "calib_imu_to_velo.txt"
+    return read_calibration_file(path)["R"].reshape(3, 3) if path.is_file() else None
 
 
 def _date(drive: str) -> str:

@@ -39,6 +39,8 @@ BOUNDS: Mapping[str, Rule] = {
     "augmentation.mirror": SHARE,
     "augmentation.brightness": RATE,
     "augmentation.contrast": SHARE,
+    "augmentation.appearance": SHARE,
+    "augmentation.false_edges": Number(0, 0.5),
     "window.frames": Number(1, 1000, whole=True),
     "mcd.passes": Number(1, 10_000, whole=True),
     "mcd.strategy": Words("auto", "shared", "batch", "loop"),

@@ -14,6 +14,7 @@ from uncal.simulation.buildings import add_buildings
 from uncal.simulation.camera import Camera
 from uncal.simulation.cars import add_cars
 from uncal.simulation.furniture import add_furniture
+from uncal.simulation.kitti_motion import oxts_line
 from uncal.simulation.lidar import Lidar
 from uncal.simulation.meshes import Mesh
 from uncal.simulation.rig import draw_rig
@@ -24,7 +25,7 @@ from uncal.simulation.settings import SimulationSettings
 from uncal.simulation.sky import draw_sky
 from uncal.simulation.street import Street, add_ground, draw_street
 from uncal.simulation.textures import TextureLibrary, build_library
-from uncal.simulation.trajectory import distance_along, vehicle_pose
+from uncal.simulation.trajectory import distance_along, drive_speed, vehicle_pose
 
 BEHIND_M = 25.0
 """Length of street modelled behind a LiDAR that does not look back."""
@@ -99,27 +100,32 @@ def write_frames(settings: SimulationSettings, piece: Piece, folder: Path) -> in
     street, scene = build_scene(settings, piece)
     camera, lidar = (
         Camera(settings.camera, rig.K),
-        Lidar(settings.lidar, rig.elevations, rig.range_bias),
+        Lidar(settings.lidar, rig.elevations, rig.range_bias, rig.gain),
     )
     T_lidar_cam = inverse(rig.T_cam_lidar)
+    speed = drive_speed(settings, piece.rig, piece.drive)
     written = 0
     for frame in range(piece.first, piece.last):
         key = (piece.rig, piece.drive, frame)
         T_world_lidar = vehicle_pose(settings, street, *key) @ rig.T_vehicle_lidar
+        velocity = speed * T_world_lidar[:3, 0]
         light_rng = generator(settings.seed, Stream.CAMERA, *key)
         image = camera.photograph(scene, T_world_lidar @ T_lidar_cam, light_rng)
         points = lidar.sweep(
             scene,
             T_world_lidar,
             generator(settings.seed, Stream.LIDAR, *key),
-            velocity=settings.vehicle.speed_mps * T_world_lidar[:3, 0],
+            velocity=velocity,
         )
         picture = folder / "image_02" / "data" / f"{frame:010d}.png"
         cloud = folder / "velodyne_points" / "data" / f"{frame:010d}.bin"
+        motion = folder / "oxts" / "data" / f"{frame:010d}.txt"
         try:
             if not cv2.imwrite(str(picture), np.ascontiguousarray(image[..., ::-1])):
                 raise OSError("OpenCV gives no reason")
             points.tofile(cloud)
+            if settings.lidar.motion_distortion:
+                motion.write_text(oxts_line(T_world_lidar[:3, :3].T @ velocity))
         except OSError as error:
             raise RecordingError(
                 f"{picture} or {cloud.name} could not be written ({error}); is the disk full?"

@@ -11,6 +11,7 @@ from uncal.simulation.calibration_files import write_calibration
 from uncal.simulation.drive import Piece, write_frames
 from uncal.simulation.rig import draw_rig, rig_date
 from uncal.simulation.settings import SimulationSettings
+from uncal.simulation.trajectory import drive_speed
 
 SENSORS = {"image_02": ".png", "velodyne_points": ".bin"}
 
@@ -24,11 +25,15 @@ def drive_name(date: str, drive: int) -> str:
     return f"{date}_drive_{drive + 1:04d}_sync"
 
 
-def timestamps(date: str, drive: int, settings: SimulationSettings) -> Iterator[str]:
+def timestamps(date: str, rig: int, drive: int, settings: SimulationSettings) -> Iterator[str]:
     """KITTI's timestamp lines (nanoseconds); drives begin an hour apart, from 08:00 on."""
     begin = datetime.datetime.strptime(date, "%Y_%m_%d") + datetime.timedelta(hours=8 + drive)
+    vehicle = settings.vehicle
+    interval = vehicle.frame_interval_s
+    if vehicle.speed_mps > 0:
+        interval *= vehicle.speed_mps / drive_speed(settings, rig, drive)
     for frame in range(settings.frames_per_drive):
-        time = begin + datetime.timedelta(seconds=frame * settings.vehicle.frame_interval_s)
+        time = begin + datetime.timedelta(seconds=frame * interval)
         yield f"{time:%Y-%m-%d %H:%M:%S.%f}000\n"
 
 
@@ -45,8 +50,8 @@ def prepare_date_folder(settings: SimulationSettings, index: int, folder: Path) 
     write_calibration(rig, settings, folder)
     for drive in range(settings.drives_per_rig):
         name = folder / drive_name(rig.date, drive)
-        stamps = "".join(timestamps(rig.date, drive, settings))
-        # No inertial data is simulated, but readers look for its timestamps.
+        stamps = "".join(timestamps(rig.date, index, drive, settings))
+        # Of inertial data only velocities are simulated, and only where they distort the sweep.
         for sensor in (*SENSORS, "oxts"):
             (name / sensor / "data").mkdir(parents=True)
             (name / sensor / "timestamps.txt").write_text(stamps)

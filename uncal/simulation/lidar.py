@@ -31,6 +31,7 @@ class Lidar:
         settings: LidarSettings,
         elevations: NDArray[np.float64],
         range_bias: NDArray[np.float64] | None = None,
+        gain: NDArray[np.float64] | None = None,
     ) -> None:
         """Prepare the rays.
 
@@ -38,6 +39,7 @@ class Lidar:
             settings: azimuths, ranges, noise.
             elevations: (beams,) radians.
             range_bias: (beams,) metres that each laser measures too much; None: nothing.
+            gain: (beams,) factor on the reflectance that each laser reports; None: 1.
         """
         self.settings = settings
         steps = max(round(settings.azimuth_fov_deg / settings.azimuth_step_deg), 1)
@@ -47,9 +49,12 @@ class Lidar:
             # Lasers do not fire in columns; the golden ratio spreads their offsets evenly.
             share = (np.arange(len(elevations)) * 0.618034) % 1 - 0.5
             azimuth = azimuth + np.deg2rad(settings.azimuth_step_deg) * share[:, None]
-        self._delay = (azimuth / (2 * np.pi) * REVOLUTION_S).ravel().astype(np.float32)
+        # Clockwise seen from above, as a Velodyne: azimuth falls as time goes on.
+        self._delay = (-azimuth / (2 * np.pi) * REVOLUTION_S).ravel().astype(np.float32)
         bias = np.zeros(len(elevations)) if range_bias is None else range_bias
         self._bias = np.repeat(bias, steps).astype(np.float32)
+        gain = np.ones(len(elevations)) if gain is None else gain
+        self._gain = np.repeat(gain, steps).astype(np.float32)
         self._ring = np.repeat(np.arange(len(elevations), dtype=np.uint16), steps)
         flat = np.cos(elevation)
         rays = [flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)]
@@ -114,5 +119,6 @@ class Lidar:
         keep &= triangle != NOTHING
 
         shine = reflectance * (0.4 + 0.6 * cosine) * (1 + limits.reflectance_noise * noise[1])
+        shine *= self._gain
         points = np.column_stack([self._rays * measured[:, None], shine.clip(0, 1)])
         return np.ascontiguousarray(points[keep], np.float32), self._ring[keep]

@@ -36,6 +36,8 @@ class Rig:
         baseline_m: x of the translation camera 0 → camera 2 in the rectified frame.
         T_vehicle_lidar: (4, 4) LiDAR → vehicle (on the road, x forward, z up).
         elevations: (beams,) elevation of each beam, radians, ascending.
+        range_bias: (beams,) metres that each laser measures too much.
+        gain: (beams,) factor on the reflectance that each laser reports.
     """
 
     date: str
@@ -46,6 +48,7 @@ class Rig:
     T_vehicle_lidar: Matrix
     elevations: NDArray[np.float64]
     range_bias: NDArray[np.float64]
+    gain: NDArray[np.float64]
 
     @property
     def T_cam0_lidar(self) -> Matrix:
@@ -94,6 +97,7 @@ def draw_rig(settings: SimulationSettings, index: int) -> Rig:
         T_vehicle_lidar=pose_matrix((0.0, 0.0, float(height)), attitude),
         elevations=np.sort(_beam_table(lidar, low, high) + jitter),
         range_bias=lidar.range_bias_m * rng.uniform(-1, 1, lidar.beams),
+        gain=np.exp(lidar.laser_gain * rng.uniform(-1, 1, lidar.beams)),
     )
 
 

@@ -14,7 +14,7 @@ from typing import Annotated, ClassVar
 from uncal.errors import ConfigurationError
 from uncal.simulation.settings_group import SettingsGroup, Within
 
-VERSION = 2
+VERSION = 3
 """Raised whenever the same settings would no longer give the same files."""
 
 MAX_RIGS = 3652
@@ -64,6 +64,7 @@ class LidarSettings(SettingsGroup):
     range_bias_m: Annotated[float, Within(0.0, 0.5)] = 0.0
     stagger: bool = False
     motion_distortion: bool = False
+    laser_gain: Annotated[float, Within(0.0, 3.0)] = 0.0
 
     def __post_init__(self) -> None:
         """Check bounds and the order of pairs."""
@@ -98,6 +99,7 @@ class VehicleSettings(SettingsGroup):
     height_m: Annotated[float, Within(0.0, 0.5)]
     heading_deg: Annotated[float, Within(0.0, 30.0)]
     drift_m: Annotated[float, Within(0.0, 1.5)]
+    speed_variation: Annotated[float, Within(0.0, 0.99)] = 0.0
 
 
 @dataclass(frozen=True)

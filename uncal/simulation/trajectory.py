@@ -16,6 +16,21 @@ def distance_along(settings: SimulationSettings, frame: int) -> float:
     return frame * settings.vehicle.speed_mps * settings.vehicle.frame_interval_s
 
 
+def drive_speed(settings: SimulationSettings, rig: int, drive: int) -> float:
+    """Speed during a drive, metres per second.
+
+    Frames stay as far apart as ``speed_mps`` has them, so that what a drive sees does not depend on
+    it: the time between them changes instead.
+
+    Args:
+        settings: the simulation's settings.
+        rig: number of the rig.
+        drive: number of the drive within the rig.
+    """
+    draw = generator(settings.seed, Stream.SPEED, rig, drive).uniform(-1, 1)
+    return settings.vehicle.speed_mps * (1.0 + settings.vehicle.speed_variation * float(draw))
+
+
 def vehicle_pose(
     settings: SimulationSettings, street: Street, rig: int, drive: int, frame: int
 ) -> Matrix:
