@@ -220,8 +220,14 @@ def _estimator(
 ) -> nn.Module:
     model = config.model
     if isinstance(network, EvidenceNetwork):
+        start = model.get("start")
         return AlignmentEstimator(
-            network, decalibration.bounds, list(model.rounds), instantiate(model.learning)
+            network,
+            decalibration.bounds,
+            list(model.rounds),
+            instantiate(model.learning),
+            start and _edge_alignment(config, start, decalibration),
+            0.45 if start is None else start.sigma,
         )
     if isinstance(network, EdgeAlignment):
         return EdgeAlignmentEstimator(network, decalibration.bounds, instantiate(model.search))
@@ -233,6 +239,13 @@ def _estimator(
         displacement_weight=model.displacement_weight,
         quantile_levels=tuple(config.interval.quantile_levels),
     )
+
+
+def _edge_alignment(
+    config: DictConfig, start: DictConfig, decalibration: DecalibrationRange
+) -> EdgeAlignmentEstimator:
+    network = instantiate(start.network, in_channels=instantiate(config.model.inputs).n_channels)
+    return EdgeAlignmentEstimator(network, decalibration.bounds, instantiate(start.search))
 
 
 def _refuse_what_needs_a_solver(config: DictConfig) -> None:

@@ -27,6 +27,7 @@ from uncal.models.alignment import (
     surprise,
 )
 from uncal.models.answer import State
+from uncal.models.edge_alignment import EdgeAlignmentEstimator
 from uncal.models.evidence import STRIDES, EvidenceNetwork
 from uncal.recordings.frame import FrameId
 from uncal.uncertainty import MCDropout
@@ -369,3 +370,37 @@ def test_surprise_by_hand() -> None:
     expected = (0.5 + 6 * torch.tensor(2.0).log()) / 6
     torch.testing.assert_close(surprise(state, truth), expected)
     assert surprise(state, 100 * truth) == 8.0
+
+
+class Elsewhere(nn.Module):
+    """A start that always answers the same."""
+
+    def align(self, batch: NetworkInput) -> State:
+        pose = torch.linspace(-0.5, 0.5, 6).expand(len(batch.place), 6)
+        return State(pose, torch.eye(6).expand(len(pose), 6, 6))
+
+
+def test_without_evidence_the_estimate_is_the_start() -> None:
+    network: EvidenceNetwork = Truthful(1.0, 2)  # type: ignore[assignment]
+    start: EdgeAlignmentEstimator = Elsewhere()  # type: ignore[assignment]
+    made = AlignmentEstimator(network, RANGE.bounds, [1, 1], LEARNING, start, start_sigma=0.3)
+    batch = batch_of(2)
+    state = made.align(batch._replace(edges=batch.edges * float("nan")), made.rounds)
+    torch.testing.assert_close(state.pose, torch.linspace(-0.5, 0.5, 6).expand(2, 6))
+    torch.testing.assert_close(state.covariance, 0.09 * torch.eye(6).expand(2, 6, 6))
+
+
+def test_evidence_leads_away_from_the_start() -> None:
+    network: EvidenceNetwork = Truthful(1.0, 8)  # type: ignore[assignment]
+    start: EdgeAlignmentEstimator = Elsewhere()  # type: ignore[assignment]
+    made = AlignmentEstimator(network, RANGE.bounds, [4, 2, 1], LEARNING, start, start_sigma=0.5)
+    nn.init.zeros_(made.last.log_share)
+    batch = batch_of(8)
+    error = (made.pose(batch) - batch.target) / RANGE.bounds
+    from_start = torch.linspace(-0.5, 0.5, 6) - batch.target / RANGE.bounds
+    assert error.abs().mean() < 0.1 * from_start.abs().mean()
+
+
+def test_the_starts_spread_is_positive() -> None:
+    with pytest.raises(ConfigurationError, match=r"model\.start\.sigma=0"):
+        AlignmentEstimator(learner().last.network, RANGE.bounds, [1], LEARNING, None, 0.0)

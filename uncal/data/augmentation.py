@@ -10,7 +10,6 @@ from torch import Tensor
 
 from uncal.data.camera_rotation import rotate_cameras
 from uncal.data.dataset import Batch
-from uncal.data.randomisation import randomise_appearance, randomise_edges
 from uncal.edges.sweep import KIND, N_ACROSS, SIDE
 from uncal.errors import ConfigurationError
 
@@ -56,16 +55,12 @@ class Augmentation:
         contrast: contrast about an image's mean varies by a factor within 1 ± this.
         rotation_deg: the camera is turned by up to so many degrees about each of its axes; see
             :mod:`uncal.data.camera_rotation`.
-        appearance: how much the look of images varies, 0..1; see :mod:`uncal.data.randomisation`.
-        false_edges: largest share of the sweep's edges that are led astray.
     """
 
     mirror: float
     brightness: float
     contrast: float
     rotation_deg: float = 0.0
-    appearance: float = 0.0
-    false_edges: float = 0.0
 
     def __post_init__(self) -> None:
         """Check the bounds.
@@ -78,8 +73,6 @@ class Augmentation:
             ("brightness", self.brightness, 1.0),
             ("contrast", self.contrast, 1.0),
             ("rotation_deg", self.rotation_deg, 20.0),
-            ("appearance", self.appearance, 1.0),
-            ("false_edges", self.false_edges, 0.5),
         ):
             if not 0.0 <= value <= top:
                 raise ConfigurationError(
@@ -102,12 +95,7 @@ class Augmentation:
             largest = math.radians(self.rotation_deg)
             angles = (2.0 * torch.rand(n, 3, device=device) - 1.0) * largest
             batch = rotate_cameras(batch, angles, largest)
-        if self.false_edges > 0:
-            batch = batch._replace(edges=randomise_edges(batch.edges, self.false_edges))
         is_image = batch.camera.dtype == torch.uint8
-        if is_image and self.appearance > 0:
-            image = randomise_appearance(batch.camera.float(), self.appearance)
-            batch = batch._replace(camera=image.to(torch.uint8))
         if is_image and (self.brightness > 0 or self.contrast > 0):
             low = 1.0 - torch.tensor([self.brightness, self.contrast], device=device)
             factor = low + (1.0 - low) * 2.0 * torch.rand(n, 2, device=device)

@@ -22,7 +22,8 @@ from uncal.edges.evidence import (
     unpack,
 )
 from uncal.errors import ConfigurationError
-from uncal.models.answer import Answer, Question, State
+from uncal.models.answer import Answer, Prior, Question, State
+from uncal.models.edge_alignment import EdgeAlignmentEstimator
 from uncal.models.evidence import STRIDES, EvidenceNetwork
 
 PRIOR = 3.0
@@ -150,14 +151,20 @@ class Look(nn.Module):
 class AlignmentEstimator(nn.Module):
     """Estimates in rounds: project with the pose so far, add up the evidence, solve, again.
 
-    The prior is on the total decalibration. Frames of a window share one, so that their normal
-    equations are added before they are solved (:mod:`uncal.data.windows`).
+    The prior is on the total decalibration: uniform, or around the pose that an alignment without
+    training finds. That one looks at the whole range at once, so that no round has to find its way
+    from afar; on images unlike those of the training the rounds lose theirs.
+
+    Frames of a window share one decalibration, so that their normal equations are added before they
+    are solved (:mod:`uncal.data.windows`).
 
     Args:
         network: gives the curves.
         bounds: (6,) range of the decalibrations, metres and radians.
         rounds: stride of each round, coarse to fine.
         learning: what training minimises.
+        start: finds the pose that rounds begin with; None: they begin with no decalibration.
+        start_sigma: standard deviation of its error that rounds assume, in units of the range.
 
     Raises:
         ConfigurationError: a round at a scale that the network does not have.
@@ -169,8 +176,12 @@ class AlignmentEstimator(nn.Module):
         bounds: Tensor,
         rounds: Sequence[int],
         learning: LearningSettings,
+        start: EdgeAlignmentEstimator | None = None,
+        start_sigma: float = 0.45,
     ) -> None:
         super().__init__()
+        if start_sigma <= 0:
+            raise ConfigurationError(f"model.start.sigma={start_sigma}: expected more than 0")
         if not rounds or any(stride not in STRIDES for stride in rounds) or rounds[-1] != 1:
             raise ConfigurationError(
                 f"model.rounds={list(rounds)}: expected strides out of {list(STRIDES)}, the last 1"
@@ -178,11 +189,26 @@ class AlignmentEstimator(nn.Module):
         self.last: LastRound = LastRound(network, bounds).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.rounds = [STRIDES.index(stride) for stride in rounds]
         self.learning = learning
+        self.start = start
+        self.start_sigma = start_sigma
 
     @property
     def bounds(self) -> Tensor:
         """(6,) range of the decalibrations, metres and radians."""
         return self.last.bounds
+
+    def begin(self, batch: NetworkInput) -> State:
+        """What is known before the first round.
+
+        Args:
+            batch: B frames of n units.
+        """
+        n = len(batch.place)
+        eye = torch.eye(6).to(batch.K).expand(n, 6, 6)
+        if self.start is None:
+            return State(batch.K.new_zeros(n, 6), eye / PRIOR)
+        pose = self.start.align(batch).pose
+        return State(pose, eye * self.start_sigma**2, Prior(pose, self.start_sigma**-2))
 
     def align(self, batch: NetworkInput, rounds: Sequence[int]) -> State:
         """Rounds without dropout.
@@ -195,9 +221,7 @@ class AlignmentEstimator(nn.Module):
             The state after them.
         """
         n = len(batch.place)
-        pose = batch.K.new_zeros(n, 6)
-        covariance = (torch.eye(6) / PRIOR).to(pose).expand(n, 6, 6)
-        state = State(pose, covariance)
+        state = self.begin(batch)
         maps = self.last.network.describe(batch.x)
         size = (batch.x.shape[-2], batch.x.shape[-1])
         for level in rounds:
@@ -242,11 +266,13 @@ class AlignmentEstimator(nn.Module):
             (..., n, 6) and (..., n, 6, 6).
         """
         normal, right = unpack(packed)
-        normal = normal + PRIOR * torch.eye(6).to(normal)
+        mean, precision = state.prior or Prior(torch.zeros_like(state.pose), PRIOR)
+        normal = normal + precision * torch.eye(6).to(normal)
         factor = torch.linalg.cholesky(normal)
-        step = torch.cholesky_solve((right - PRIOR * state.pose)[..., None], factor).squeeze(-1)
+        right = right + precision * (mean - state.pose)
+        step = torch.cholesky_solve(right[..., None], factor).squeeze(-1)
         pose = (state.pose + step).clamp(-BEYOND, BEYOND)
-        return State(pose, torch.cholesky_inverse(factor))
+        return State(pose, torch.cholesky_inverse(factor), state.prior)
 
     @property
     def repeated(self) -> nn.Module:

@@ -9,16 +9,30 @@ from torch import Tensor, nn
 from uncal.data.network_input import NetworkInput
 
 
+class Prior(NamedTuple):
+    """What is known of each unit before the rounds: N(mean, I / precision), in units of the range.
+
+    Attributes:
+        mean: (n, 6).
+        precision: of every DoF.
+    """
+
+    mean: Tensor
+    precision: float
+
+
 class State(NamedTuple):
     """What the rounds of an estimate know of each unit so far, in units of the range.
 
     Attributes:
         pose: (n, 6) estimated decalibration.
         covariance: (n, 6, 6) of its error.
+        prior: what was known before; None: only that decalibrations are uniform over the range.
     """
 
     pose: Tensor
     covariance: Tensor
+    prior: Prior | None = None
 
 
 class Question(NamedTuple):
