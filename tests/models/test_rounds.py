@@ -377,23 +377,25 @@ class Elsewhere(nn.Module):
 
     def align(self, batch: NetworkInput) -> State:
         pose = torch.linspace(-0.5, 0.5, 6).expand(len(batch.place), 6)
-        return State(pose, torch.eye(6).expand(len(pose), 6, 6))
+        return State(pose, 0.09 * torch.eye(6).expand(len(pose), 6, 6))
 
 
 def test_without_evidence_the_estimate_is_the_start() -> None:
     network: EvidenceNetwork = Truthful(1.0, 2)  # type: ignore[assignment]
     start: EdgeAlignmentEstimator = Elsewhere()  # type: ignore[assignment]
-    made = AlignmentEstimator(network, RANGE.bounds, [1, 1], LEARNING, start, start_sigma=0.3)
+    made = AlignmentEstimator(network, RANGE.bounds, [1, 1], LEARNING, start, start_inflation=2.0)
     batch = batch_of(2)
     state = made.align(batch._replace(edges=batch.edges * float("nan")), made.rounds)
     torch.testing.assert_close(state.pose, torch.linspace(-0.5, 0.5, 6).expand(2, 6))
-    torch.testing.assert_close(state.covariance, 0.09 * torch.eye(6).expand(2, 6, 6))
+    torch.testing.assert_close(state.covariance, 0.18 * torch.eye(6).expand(2, 6, 6))
 
 
 def test_evidence_leads_away_from_the_start() -> None:
     network: EvidenceNetwork = Truthful(1.0, 8)  # type: ignore[assignment]
     start: EdgeAlignmentEstimator = Elsewhere()  # type: ignore[assignment]
-    made = AlignmentEstimator(network, RANGE.bounds, [4, 2, 1], LEARNING, start, start_sigma=0.5)
+    made = AlignmentEstimator(
+        network, RANGE.bounds, [4, 2, 1], LEARNING, start, start_inflation=3.0
+    )
     nn.init.zeros_(made.last.log_share)
     batch = batch_of(8)
     error = (made.pose(batch) - batch.target) / RANGE.bounds
@@ -401,6 +403,6 @@ def test_evidence_leads_away_from_the_start() -> None:
     assert error.abs().mean() < 0.1 * from_start.abs().mean()
 
 
-def test_the_starts_spread_is_positive() -> None:
-    with pytest.raises(ConfigurationError, match=r"model\.start\.sigma=0"):
-        AlignmentEstimator(learner().last.network, RANGE.bounds, [1], LEARNING, None, 0.0)
+def test_the_starts_covariance_is_not_deflated() -> None:
+    with pytest.raises(ConfigurationError, match=r"model\.start\.inflation=0.5"):
+        AlignmentEstimator(learner().last.network, RANGE.bounds, [1], LEARNING, None, 0.5)

@@ -164,7 +164,8 @@ class AlignmentEstimator(nn.Module):
         rounds: stride of each round, coarse to fine.
         learning: what training minimises.
         start: finds the pose that rounds begin with; None: they begin with no decalibration.
-        start_sigma: standard deviation of its error that rounds assume, in units of the range.
+        start_inflation: factor on the covariance of its error: the rounds read the same edges and
+            the same image again, so that what the start says counts less than it would alone.
 
     Raises:
         ConfigurationError: a round at a scale that the network does not have.
@@ -177,11 +178,13 @@ class AlignmentEstimator(nn.Module):
         rounds: Sequence[int],
         learning: LearningSettings,
         start: EdgeAlignmentEstimator | None = None,
-        start_sigma: float = 0.45,
+        start_inflation: float = 4.0,
     ) -> None:
         super().__init__()
-        if start_sigma <= 0:
-            raise ConfigurationError(f"model.start.sigma={start_sigma}: expected more than 0")
+        if start_inflation < 1:
+            raise ConfigurationError(
+                f"model.start.inflation={start_inflation}: expected at least 1"
+            )
         if not rounds or any(stride not in STRIDES for stride in rounds) or rounds[-1] != 1:
             raise ConfigurationError(
                 f"model.rounds={list(rounds)}: expected strides out of {list(STRIDES)}, the last 1"
@@ -190,7 +193,7 @@ class AlignmentEstimator(nn.Module):
         self.rounds = [STRIDES.index(stride) for stride in rounds]
         self.learning = learning
         self.start = start
-        self.start_sigma = start_sigma
+        self.start_inflation = start_inflation
 
     @property
     def bounds(self) -> Tensor:
@@ -204,11 +207,14 @@ class AlignmentEstimator(nn.Module):
             batch: B frames of n units.
         """
         n = len(batch.place)
-        eye = torch.eye(6).to(batch.K).expand(n, 6, 6)
         if self.start is None:
-            return State(batch.K.new_zeros(n, 6), eye / PRIOR)
-        pose = self.start.align(batch).pose
-        return State(pose, eye * self.start_sigma**2, Prior(pose, self.start_sigma**-2))
+            return State(
+                batch.K.new_zeros(n, 6), (torch.eye(6) / PRIOR).to(batch.K).expand(n, 6, 6)
+            )
+        pose, covariance, _ = self.start.align(batch)
+        # A thousandth of the range at least, so that it can be inverted.
+        covariance = self.start_inflation * covariance + 1e-6 * torch.eye(6).to(covariance)
+        return State(pose, covariance, Prior(pose, torch.linalg.inv(covariance)))
 
     def align(self, batch: NetworkInput, rounds: Sequence[int]) -> State:
         """Rounds without dropout.
@@ -266,10 +272,10 @@ class AlignmentEstimator(nn.Module):
             (..., n, 6) and (..., n, 6, 6).
         """
         normal, right = unpack(packed)
-        mean, precision = state.prior or Prior(torch.zeros_like(state.pose), PRIOR)
-        normal = normal + precision * torch.eye(6).to(normal)
-        factor = torch.linalg.cholesky(normal)
-        right = right + precision * (mean - state.pose)
+        uniform = Prior(torch.zeros_like(state.pose), PRIOR * torch.eye(6).to(normal))
+        mean, precision = state.prior or uniform
+        factor = torch.linalg.cholesky(normal + precision)
+        right = right + (precision @ (mean - state.pose)[..., None]).squeeze(-1)
         step = torch.cholesky_solve(right[..., None], factor).squeeze(-1)
         pose = (state.pose + step).clamp(-BEYOND, BEYOND)
         return State(pose, torch.cholesky_inverse(factor), state.prior)

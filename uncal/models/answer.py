@@ -10,15 +10,15 @@ from uncal.data.network_input import NetworkInput
 
 
 class Prior(NamedTuple):
-    """What is known of each unit before the rounds: N(mean, I / precision), in units of the range.
+    """What is known of each unit before the rounds, a Gaussian in units of the range.
 
     Attributes:
         mean: (n, 6).
-        precision: of every DoF.
+        precision: (n, 6, 6), or (6, 6) for all alike; the inverse of the covariance.
     """
 
     mean: Tensor
-    precision: float
+    precision: Tensor
 
 
 class State(NamedTuple):

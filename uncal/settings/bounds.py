@@ -84,7 +84,7 @@ BOUNDS: Mapping[str, Rule] = {
     "model.backbone_dropout": RATE,
     "model.head_dropout": RATE,
     "model.*dropout": RATE,
-    "model.start.sigma": Number(0, 10, above=True),
+    "model.start.inflation": Number(1, 1e4),
     "model.edges": Number(0, 65_536, whole=True),
     "model.ridge": Number(0, 1e6, above=True),
     "model.displacement_weight": Number(0, 1e6),
