@@ -58,11 +58,14 @@ def test_tables_and_weights_stay_as_they_were(tmp_path: Path) -> None:
         def state_dict(self) -> dict[str, torch.Tensor]:
             return {}
 
-    def writes_half(content: object, path: Path) -> None:
-        Path(path).write_text("half")
+    def writes_half(path: Path, content: object) -> None:
+        path.write_text("half")
         raise full(path)
 
-    with patch("torch.save", writes_half), pytest.raises(OSError, match="No space left"):
+    with (
+        patch.object(Path, "write_bytes", writes_half),
+        pytest.raises(OSError, match="No space left"),
+    ):
         save_weights(Module(), weights)  # type: ignore[arg-type]  # what is used of a module
     with (
         patch.object(Path, "write_text", side_effect=full(table)),

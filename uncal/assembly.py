@@ -27,6 +27,7 @@ from uncal.models.evidence import EvidenceNetwork
 from uncal.models.module import CalibrationModule
 from uncal.models.prediction import SPREADS
 from uncal.recordings.frame import Recording
+from uncal.saving import WholeCheckpoints
 from uncal.settings.guard import names_the_setting
 from uncal.simulation.cache import ensure_simulated
 from uncal.simulation.manifest import MANIFEST_NAME
@@ -303,6 +304,7 @@ def build_trainer(config: DictConfig) -> lightning.Trainer:
         # Of None Lightning makes a logger of its own.
         logger=instantiate(logger) if logger else False,
         check_val_every_n_epoch=every,
+        plugins=[*(config.trainer.get("plugins") or []), WholeCheckpoints()],
     )
     return trainer
 

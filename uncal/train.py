@@ -62,7 +62,7 @@ def main(config: DictConfig) -> float:
         start_from(module, find_weights(config.model.weights))
     trainer = build_trainer(config)
     if config.ckpt is not None:
-        check_start(module, Path(config.ckpt))
+        check_start(module, Path(config.ckpt), config.trainer.max_epochs)
     data = build_data(config)
 
     shared = data_ingredients(config, data)

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import fcntl
 import logging
 import os
 import shutil
@@ -13,6 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from filelock import FileLock
 from omegaconf import OmegaConf
 
 from uncal.errors import RecordingError
@@ -127,16 +127,16 @@ def test_a_file_is_no_folder(tiny_settings: SimulationSettings, tmp_path: Path) 
 def test_a_second_process_waits_for_the_first(
     tiny_settings: SimulationSettings, root: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    with (root / LOCK_NAME).open("w") as lock, caplog.at_level(logging.INFO):
-        lock.write("4242")
-        lock.flush()
-        fcntl.flock(lock, fcntl.LOCK_EX)
+    lock = FileLock(root / LOCK_NAME)
+    with caplog.at_level(logging.INFO):
+        lock.acquire()
+        (root / LOCK_NAME).write_text("4242")
         waiting = threading.Thread(target=ensure_simulated, args=(tiny_settings, root, 1, False))
         waiting.start()
         waiting.join(timeout=0.3)
         assert waiting.is_alive()
         assert "waiting for process 4242" in caplog.text
-        fcntl.flock(lock, fcntl.LOCK_UN)
+        lock.release()
         waiting.join(timeout=10)
         assert not waiting.is_alive()
     assert "reusing the simulation" in caplog.text
