@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import errno
 import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import ClassVar
 from unittest.mock import patch
@@ -15,6 +19,7 @@ from uncal.checkpoint import save_weights
 from uncal.configuration import exits_on_error
 from uncal.disk import disk_trouble
 from uncal.reporting.layout import write_whole
+from uncal.saving import WholeCheckpoints
 
 
 def full(path: object = "out/results.csv") -> OSError:
@@ -74,3 +79,56 @@ def test_tables_and_weights_stay_as_they_were(tmp_path: Path) -> None:
         write_whole(table, "new")
     assert table.read_text() == weights.read_text() == "whole"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["best.ckpt", "results.csv"]
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A disk of 20 MB in memory; skipped where nothing may be mounted."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    mount = shutil.which("mount")
+    command = [str(mount), "-t", "tmpfs", "-o", "size=20m", "tmpfs", str(folder)]
+    if mount is None or subprocess.run(command, capture_output=True, check=False).returncode:
+        pytest.skip("a full disk needs the right to mount one")
+    yield folder
+    subprocess.run(["umount", str(folder)], check=True)
+
+
+def fill(folder: Path, leave: int) -> None:
+    """Leave so many bytes free."""
+    free = shutil.disk_usage(folder).free
+    (folder / "filler").write_bytes(bytes(max(0, free - leave)))
+
+
+def test_what_is_saved_on_a_full_disk_stays_as_it_was(small_disk: Path) -> None:
+    last = small_disk / "checkpoints" / "last.ckpt"
+    save = WholeCheckpoints().save_checkpoint
+    save({"weights": torch.zeros(10_000)}, last)
+    fill(small_disk, 100_000)
+
+    @exits_on_error
+    def main() -> None:
+        save({"weights": torch.zeros(1_000_000)}, last)
+
+    with pytest.raises(SystemExit, match="no space left on the disk"):
+        main()
+    assert torch.load(last, weights_only=True)["weights"].shape == (10_000,)
+    assert [path.name for path in last.parent.iterdir()] == ["last.ckpt"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("leave", [0, 400_000, 3_000_000])
+def test_a_run_on_a_full_disk_ends_with_one_sentence(small_disk: Path, leave: int) -> None:
+    fill(small_disk, leave)
+    ended = subprocess.run(
+        [sys.executable, "-m", "uncal.train", "dataset.simulation.n_rigs=60"],
+        cwd=small_disk,
+        env=os.environ | {"PYTHONPATH": str(Path(__file__).parents[1])},
+        capture_output=True,
+        text=True,
+        timeout=600,
+        check=False,
+    )
+    assert ended.returncode == 1
+    assert "no space left on the disk" in ended.stderr
+    assert "Traceback" not in ended.stderr

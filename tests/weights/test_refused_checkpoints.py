@@ -79,7 +79,9 @@ def test_a_training_goes_on_with_its_own_state_only(tmp_path: Path) -> None:
     check_start(network(), full, 3)
     with pytest.raises(ConfigurationError, match=r"layer\.weight: of another size of network"):
         check_start(network(width=3), full, 3)
-    other = checkpoint(tmp_path / "other.ckpt", {"head.bias": torch.zeros(2)}, optimizer_states=[], epoch=2)
+    other = checkpoint(
+        tmp_path / "other.ckpt", {"head.bias": torch.zeros(2)}, optimizer_states=[], epoch=2
+    )
     with pytest.raises(ConfigurationError, match=r"layer\.weight, head\.bias: not of this network"):
         check_start(network(), other, 3)
     bare = checkpoint(tmp_path / "best.ckpt", weights)
