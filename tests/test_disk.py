@@ -12,12 +12,14 @@ from pathlib import Path
 from typing import ClassVar
 from unittest.mock import patch
 
+import numpy as np
 import pytest
 import torch
 
 from uncal.checkpoint import save_weights
 from uncal.configuration import exits_on_error
 from uncal.disk import disk_trouble
+from uncal.recordings.sensor_files import write_image
 from uncal.reporting.layout import write_whole
 from uncal.saving import WholeCheckpoints
 
@@ -114,6 +116,16 @@ def test_what_is_saved_on_a_full_disk_stays_as_it_was(small_disk: Path) -> None:
         main()
     assert torch.load(last, weights_only=True)["weights"].shape == (10_000,)
     assert [path.name for path in last.parent.iterdir()] == ["last.ckpt"]
+
+
+@pytest.mark.parametrize("leave", [0, 8192, 49_152])
+def test_half_a_picture_is_an_error(small_disk: Path, leave: int) -> None:
+    """OpenCV's own writer leaves 49152 of 50155 bytes and says that all is well."""
+    fill(small_disk, leave)
+    noise = np.random.default_rng(0).integers(0, 255, (80, 208, 3), np.uint8)
+    with pytest.raises(OSError, match="No space left") as raised:
+        write_image(small_disk / "0.png", noise)
+    assert disk_trouble(raised.value)
 
 
 @pytest.mark.slow

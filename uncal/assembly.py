@@ -111,12 +111,14 @@ def recorded_size(recording: Recording, focal_px: float | None) -> tuple[int, in
         RecordingError: no frame can be read.
     """
     rigs: dict[str, tuple[int, int]] = {}
+    first = ""
     for frame_id in recording.frame_ids:
         if frame_id.rig in rigs:
             continue
         try:
             frame = recording.load(frame_id)
-        except FrameError:
+        except FrameError as error:
+            first = first or str(error)
             continue
         if frame.image is not None:
             source = (frame.image.shape[0], frame.image.shape[1])
@@ -128,7 +130,9 @@ def recorded_size(recording: Recording, focal_px: float | None) -> tuple[int, in
     if rigs:
         heights, widths = zip(*rigs.values(), strict=True)
         return min(heights), min(widths)
-    raise RecordingError("no frame of the recording can be read: see the skipped ones above")
+    raise RecordingError(
+        f"none of the {len(recording.frame_ids)} frames can be read; the first: {first}"
+    )
 
 
 def say_simulated(config: DictConfig) -> None:

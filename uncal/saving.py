@@ -37,7 +37,7 @@ class WholeCheckpoints(TorchCheckpointIO):
     def save_checkpoint(
         self,
         checkpoint: dict[str, Any],
-        path: str | Path,  # type: ignore[override]  # ours are local
+        path: str | Path,
         storage_options: object = None,
     ) -> None:
         """Write.

@@ -18,7 +18,7 @@ from omegaconf import OmegaConf
 from uncal.errors import RecordingError
 from uncal.simulation import cache
 from uncal.simulation.cache import ensure_simulated
-from uncal.simulation.manifest import LOCK_NAME, Manifest
+from uncal.simulation.manifest import DRAFT_NAME, LOCK_NAME, Manifest, read_manifest
 from uncal.simulation.settings import SimulationSettings
 
 MakeSettings = Callable[..., SimulationSettings]
@@ -116,6 +116,13 @@ def test_foreign_folders_are_left_alone(
         ensure_simulated(tiny_settings, tmp_path, progress=False)
     assert [entry.name for entry in tmp_path.iterdir()] == [name]
     assert (tmp_path / name).read_text() == text
+
+
+def test_a_draft_of_a_manifest_alone_is_no_foreign_folder(tmp_path: Path) -> None:
+    """What is left of a process that was killed before its first manifest was whole."""
+    (tmp_path / LOCK_NAME).write_text("1\n")
+    (tmp_path / DRAFT_NAME).write_text('{"generator": ')
+    assert read_manifest(tmp_path) is None
 
 
 def test_a_file_is_no_folder(tiny_settings: SimulationSettings, tmp_path: Path) -> None:
