@@ -45,6 +45,28 @@ def test_entry_points_say_it_in_a_sentence(error: Exception) -> None:
         main()
 
 
+class OutOfMemoryError(RuntimeError):
+    """As torch names its own."""
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        OutOfMemoryError("CUDA out of memory. Tried to allocate 2.00 GiB.\nGPU 0 has …"),
+        RuntimeError("DataLoader worker (pid 7) is killed by signal: Killed. "),
+        RuntimeError("[enforce fail] DefaultCPUAllocator: can't allocate memory: you tried"),
+        MemoryError(),
+    ],
+)
+def test_so_they_do_of_memory(error: Exception) -> None:
+    @exits_on_error
+    def main() -> None:
+        raise RuntimeError("caught in a loop") from error
+
+    with pytest.raises(SystemExit, match=r"^[^\n]*\. Lower dataset\.loader\.batch_size"):
+        main()
+
+
 def test_what_hides_a_full_disk_is_looked_through() -> None:
     outer = ValueError("cannot save")
     outer.__cause__ = full()

@@ -16,6 +16,7 @@ from hydra.types import RunMode
 
 from uncal.disk import disk_trouble
 from uncal.errors import ConfigurationError, UncalError
+from uncal.memory import memory_trouble
 from uncal.settings import sweep_source
 from uncal.settings.guard import explain
 
@@ -85,7 +86,7 @@ def exits_on_error(main: Callable[P, R]) -> Callable[P, R]:
         except KeyboardInterrupt:
             raise SystemExit(INTERRUPTED) from None
         except Exception as error:
-            trouble = disk_trouble(error)
+            trouble = disk_trouble(error) or memory_trouble(error)
             if trouble is None or os.environ.get(FULL_ERROR) == "1":
                 raise
             raise _ending(UncalError(trouble)) from error

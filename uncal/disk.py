@@ -21,7 +21,7 @@ def disk_trouble(error: BaseException) -> str | None:
 store=…, dataset.root=…); finished files are as they were, and the same command goes on.'
     >>> disk_trouble(ValueError("x"))
     """
-    for cause in _chain(error):
+    for cause in chain_of(error):
         full = isinstance(cause, OSError) and cause.errno in _FULL
         if full or any(words in str(cause) for words in _SAID):
             where = f"{cause.filename}: " if isinstance(cause, OSError) and cause.filename else ""
@@ -38,7 +38,8 @@ store=…, dataset.root=…); finished files are as they were, and the same comm
     return None
 
 
-def _chain(error: BaseException | None) -> Iterator[BaseException]:
+def chain_of(error: BaseException | None) -> Iterator[BaseException]:
+    """An error, what caused it, what caused that."""
     seen: set[int] = set()
     while error is not None and id(error) not in seen:
         seen.add(id(error))
