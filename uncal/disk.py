@@ -6,7 +6,12 @@ import errno
 from collections.abc import Iterator
 
 _FULL = (errno.ENOSPC, errno.EDQUOT)
-_SAID = ("No space left on device", "PytorchStreamWriter failed", "Disk quota exceeded")
+_SAID = (
+    "No space left on device",
+    "PytorchStreamWriter failed",
+    "unexpected pos",
+    "Disk quota exceeded",
+)
 """What libraries that do not pass the number on say of a full disk."""
 
 

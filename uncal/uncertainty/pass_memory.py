@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import logging
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
 import torch
 from torch import Tensor
-
-from uncal.saving import save_whole
 
 log = logging.getLogger(__name__)
 
@@ -76,11 +75,17 @@ class PassMemory:
     def save(self) -> None:
         """Write what is new; what others wrote meanwhile and had more passes stays."""
         for split in sorted(self._new):
+            self.folder.mkdir(parents=True, exist_ok=True)
             mine = self._known[split]
             for frame, samples in _load(self._path(split)).items():
                 if len(samples) > len(mine.get(frame, ())):
                     mine[frame] = samples
-            save_whole(mine, self._path(split))
+            partial = self._path(split).with_suffix(f".{os.getpid()}.partial")
+            try:
+                torch.save(mine, partial)
+                partial.replace(self._path(split))
+            finally:
+                partial.unlink(missing_ok=True)
         self._new.clear()
 
     def origin(self, split: str) -> str:
