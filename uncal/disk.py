@@ -14,6 +14,13 @@ _SAID = (
 )
 """What libraries that do not pass the number on say of a full disk."""
 
+_REFUSED = {
+    errno.EROFS: "the disk can only be read",
+    errno.EACCES: "permission denied",
+    errno.ENOTDIR: "a file, where a folder must be",
+    errno.EEXIST: "a file, where a folder must be",
+}
+
 
 def disk_trouble(error: BaseException) -> str | None:
     """What a user can do about an error of writing; None for any other error.
@@ -35,10 +42,10 @@ store=…, dataset.root=…); finished files are as they were, and the same comm
                 "(hydra.run.dir=…, store=…, dataset.root=…); finished files are as they were, and "
                 "the same command goes on."
             )
-        if isinstance(cause, OSError) and cause.errno == errno.EROFS:
+        if isinstance(cause, OSError) and cause.errno in _REFUSED:
             return (
-                f"{cause.filename}: the disk can only be read. Write elsewhere (hydra.run.dir=…, "
-                "store=…, dataset.root=…)."
+                f"{cause.filename}: {_REFUSED[cause.errno]}. Name another place (hydra.run.dir=…, "
+                "store=…, dataset.root=…), or change this one."
             )
     return None
 

@@ -162,5 +162,5 @@ def test_images_of_two_sizes_and_numbers_from_4391_share_a_batch(kitti_raw_root:
     assert batch.camera.shape == (4, 3, 64, 96)
     # The focal length follows each image's own scale.
     scales = [float(focal) / 46.0 for focal in batch.K[:, 0, 0]]
-    assert scales[:2] == pytest.approx([64 / 24] * 2, rel=1e-3)
-    assert scales[2:] == pytest.approx([64 / 370] * 2, rel=1e-3)
+    assert scales[:2] == pytest.approx([64 / 24] * 2, rel=5e-3)
+    assert scales[2:] == pytest.approx([64 / 370] * 2, rel=5e-3)
