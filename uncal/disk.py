@@ -42,7 +42,7 @@ store=…, dataset.root=…); finished files are as they were, and the same comm
                 "(hydra.run.dir=…, store=…, dataset.root=…); finished files are as they were, and "
                 "the same command goes on."
             )
-        if isinstance(cause, OSError) and cause.errno in _REFUSED:
+        if isinstance(cause, OSError) and cause.filename and cause.errno in _REFUSED:
             return (
                 f"{cause.filename}: {_REFUSED[cause.errno]}. Name another place (hydra.run.dir=…, "
                 "store=…, dataset.root=…), or change this one."
