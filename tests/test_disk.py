@@ -76,6 +76,21 @@ def test_what_hides_a_full_disk_is_looked_through() -> None:
     assert "out: the disk can only be read" in str(disk_trouble(read_only))
 
 
+def test_what_hydra_meets_before_a_job_is_a_sentence(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    ended = subprocess.run(
+        [sys.executable, "-m", "uncal.train", "hydra.run.dir=file/run"],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": str(Path(__file__).parents[1])},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert ended.returncode == 1
+    assert "a file, where a folder must be. Name another place (hydra.run.dir=" in ended.stderr
+    assert "Traceback" not in ended.stderr
+
+
 def test_tables_and_weights_stay_as_they_were(tmp_path: Path) -> None:
     table, weights = tmp_path / "results.csv", tmp_path / "best.ckpt"
     table.write_text("whole")

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import ParamSpec, TypeVar
 
+from hydra._internal.hydra import Hydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import CompactHydraException, InstantiationException
 from hydra.types import RunMode
@@ -52,6 +53,27 @@ CONFIG_DIR: str = find_config_dir(Path(__file__).resolve().parent)
 """For ``hydra.main(config_path=CONFIG_DIR, ...)``."""
 
 sweep_source.register()
+
+
+def _explains_the_disk(start: Callable[P, R]) -> Callable[P, R]:
+    """Make what Hydra meets before a job starts, such as a full disk, a sentence too."""
+
+    @functools.wraps(start)
+    def explained(*args: P.args, **kwargs: P.kwargs) -> R:
+        try:
+            return start(*args, **kwargs)
+        except OSError as error:
+            trouble = disk_trouble(error)
+            if trouble is None or os.environ.get(FULL_ERROR) == "1":
+                raise
+            raise CompactHydraException(trouble) from error
+
+    return explained
+
+
+# Hydra makes the run's folder itself, prints what goes wrong there, and offers no hook before it.
+Hydra.run = _explains_the_disk(Hydra.run)  # type: ignore[method-assign]
+Hydra.multirun = _explains_the_disk(Hydra.multirun)  # type: ignore[method-assign]
 
 
 def exits_on_error(main: Callable[P, R]) -> Callable[P, R]:
