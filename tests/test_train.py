@@ -162,17 +162,15 @@ def evaluate(cwd: Path, folder: str, *overrides: str) -> list[dict[str, str]]:
 
 
 def test_two_processes_calibrate_and_test_like_one(demo: object, workplace: Path) -> None:
-    # Other passes than in training, so that both calibrate anew; 4 test frames for 2 processes.
-    one = evaluate(workplace, "one", "mcd.passes=6", "interval.levels=[0.5]", "interval=conformal")
-    two = evaluate(
-        workplace,
-        "two",
-        "mcd.passes=6",
-        "interval.levels=[0.5]",
-        "interval=conformal",
-        "trainer.devices=2",
-        "trainer.strategy=ddp",
+    # Other passes than in training, so that both calibrate anew; 7 test frames, of which Lightning
+    # makes 8 for 2 processes.
+    asked = (
+        *("mcd.passes=6", "interval.levels=[0.5]", "interval=conformal", "split.by=frame"),
+        "split.fractions=[0.425,0.2,0.2,0.175]",
     )
+    one = evaluate(workplace, "one", *asked)
+    two = evaluate(workplace, "two", *asked, "trainer.devices=2", "trainer.strategy=ddp")
+    assert {row["n_test"] for row in (*one, *two)} == {"7"}
     assert len(one) == len(two) == len(DOF_NAMES)
     for a, b in zip(one, two, strict=True):
         for key, value in a.items():

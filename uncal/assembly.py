@@ -27,6 +27,7 @@ from uncal.models.evidence import EvidenceNetwork
 from uncal.models.module import CalibrationModule
 from uncal.models.prediction import SPREADS
 from uncal.recordings.frame import Recording
+from uncal.saving import WholeCheckpoints
 from uncal.settings.guard import names_the_setting
 from uncal.simulation.cache import ensure_simulated
 from uncal.simulation.manifest import MANIFEST_NAME
@@ -110,12 +111,14 @@ def recorded_size(recording: Recording, focal_px: float | None) -> tuple[int, in
         RecordingError: no frame can be read.
     """
     rigs: dict[str, tuple[int, int]] = {}
+    first = ""
     for frame_id in recording.frame_ids:
         if frame_id.rig in rigs:
             continue
         try:
             frame = recording.load(frame_id)
-        except FrameError:
+        except FrameError as error:
+            first = first or str(error)
             continue
         if frame.image is not None:
             source = (frame.image.shape[0], frame.image.shape[1])
@@ -127,7 +130,9 @@ def recorded_size(recording: Recording, focal_px: float | None) -> tuple[int, in
     if rigs:
         heights, widths = zip(*rigs.values(), strict=True)
         return min(heights), min(widths)
-    raise RecordingError("no frame of the recording can be read: see the skipped ones above")
+    raise RecordingError(
+        f"none of the {len(recording.frame_ids)} frames can be read; the first: {first}"
+    )
 
 
 def say_simulated(config: DictConfig) -> None:
@@ -316,6 +321,7 @@ def build_trainer(config: DictConfig) -> lightning.Trainer:
         # Of None Lightning makes a logger of its own.
         logger=instantiate(logger) if logger else False,
         check_val_every_n_epoch=every,
+        plugins=[*(config.trainer.get("plugins") or []), WholeCheckpoints()],
     )
     return trainer
 

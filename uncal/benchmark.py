@@ -15,6 +15,7 @@ from omegaconf import DictConfig
 from uncal.configuration import CONFIG_DIR, exits_on_error, quiet_libraries
 from uncal.errors import ConfigurationError
 from uncal.settings.command_line import quote_arguments
+from uncal.settings.help_page import show_help
 
 if TYPE_CHECKING:
     import torch
@@ -104,5 +105,6 @@ def device_name(device: torch.device) -> str:
 
 
 if __name__ == "__main__":
+    show_help("benchmark.yaml")
     quote_arguments()
     main()

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from uncal.errors import ConfigurationError
 from uncal.models.module import CalibrationModule
-from uncal.reporting.layout import replaced_whole
+from uncal.saving import save_whole
 from uncal.weights.shipped import load_checkpoint, load_shipped
 
 OWN: tuple[str, ...] = ("calibrator.", "ellipsoid.", "masks.")
@@ -37,16 +37,17 @@ def load_weights(module: CalibrationModule, path: Path, calibrated: bool) -> Non
     _load(module, state, path)
 
 
-def check_start(module: CalibrationModule, path: Path) -> None:
+def check_start(module: CalibrationModule, path: Path, epochs: int) -> None:
     """Refuse a checkpoint that a training of this network cannot go on from.
 
     Args:
         module: of the training.
         path: what ``ckpt=`` names.
+        epochs: of the training as a whole.
 
     Raises:
-        ConfigurationError: no such file, not a checkpoint of this project, another network's, or
-            weights without the state of their training.
+        ConfigurationError: no such file, not a checkpoint of this project, another network's,
+            weights without the state of their training, or of more epochs already.
     """
     state, _ = load_checkpoint(path)
     _check_shapes(module, state, path)
@@ -63,6 +64,12 @@ def check_start(module: CalibrationModule, path: Path) -> None:
             f"ckpt={path}: holds weights, but not the state of their training, which ckpt= goes on "
             f"with; give a run's last.ckpt, or start a training from the weights: "
             f"model.weights={path}"
+        )
+    seen = int(content["epoch"]) + 1
+    if seen > epochs:
+        raise ConfigurationError(
+            f"ckpt={path}: has {seen} epochs behind it, trainer.max_epochs={epochs} ends before: "
+            f"give a number from {seen} on, which counts from the first epoch"
         )
 
 
@@ -87,9 +94,7 @@ def save_weights(module: CalibrationModule, path: Path) -> None:
         module: trained and calibrated.
         path: the checkpoint; its folder is made if it is not there.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with replaced_whole(path) as partial:
-        torch.save({"state_dict": module.state_dict(), "uncal_recipe": module.recipe}, partial)
+    save_whole({"state_dict": module.state_dict(), "uncal_recipe": module.recipe}, path)
 
 
 def read_recipe(path: Path) -> DictConfig:

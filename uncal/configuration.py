@@ -10,12 +10,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import ParamSpec, TypeVar
 
+from hydra._internal.hydra import Hydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import CompactHydraException, InstantiationException
 from hydra.types import RunMode
 
 from uncal.disk import disk_trouble
 from uncal.errors import ConfigurationError, UncalError
+from uncal.memory import memory_trouble
 from uncal.settings import sweep_source
 from uncal.settings.guard import explain
 
@@ -53,6 +55,27 @@ CONFIG_DIR: str = find_config_dir(Path(__file__).resolve().parent)
 sweep_source.register()
 
 
+def _explains_the_disk(start: Callable[P, R]) -> Callable[P, R]:
+    """Make what Hydra meets before a job starts, such as a full disk, a sentence too."""
+
+    @functools.wraps(start)
+    def explained(*args: P.args, **kwargs: P.kwargs) -> R:
+        try:
+            return start(*args, **kwargs)
+        except OSError as error:
+            trouble = disk_trouble(error)
+            if trouble is None or os.environ.get(FULL_ERROR) == "1":
+                raise
+            raise CompactHydraException(trouble) from error
+
+    return explained
+
+
+# Hydra makes the run's folder itself, prints what goes wrong there, and offers no hook before it.
+Hydra.run = _explains_the_disk(Hydra.run)  # type: ignore[method-assign]
+Hydra.multirun = _explains_the_disk(Hydra.multirun)  # type: ignore[method-assign]
+
+
 def exits_on_error(main: Callable[P, R]) -> Callable[P, R]:
     """Make an entry point end with the message alone and exit code 1 on an :class:`UncalError`.
 
@@ -85,7 +108,7 @@ def exits_on_error(main: Callable[P, R]) -> Callable[P, R]:
         except KeyboardInterrupt:
             raise SystemExit(INTERRUPTED) from None
         except Exception as error:
-            trouble = disk_trouble(error)
+            trouble = disk_trouble(error) or memory_trouble(error)
             if trouble is None or os.environ.get(FULL_ERROR) == "1":
                 raise
             raise _ending(UncalError(trouble)) from error

@@ -6,8 +6,20 @@ import errno
 from collections.abc import Iterator
 
 _FULL = (errno.ENOSPC, errno.EDQUOT)
-_SAID = ("No space left on device", "PytorchStreamWriter failed", "Disk quota exceeded")
+_SAID = (
+    "No space left on device",
+    "PytorchStreamWriter failed",
+    "unexpected pos",
+    "Disk quota exceeded",
+)
 """What libraries that do not pass the number on say of a full disk."""
+
+_REFUSED = {
+    errno.EROFS: "the disk can only be read",
+    errno.EACCES: "permission denied",
+    errno.ENOTDIR: "a file, where a folder must be",
+    errno.EEXIST: "a file, where a folder must be",
+}
 
 
 def disk_trouble(error: BaseException) -> str | None:
@@ -21,7 +33,7 @@ def disk_trouble(error: BaseException) -> str | None:
 store=…, dataset.root=…); finished files are as they were, and the same command goes on.'
     >>> disk_trouble(ValueError("x"))
     """
-    for cause in _chain(error):
+    for cause in chain_of(error):
         full = isinstance(cause, OSError) and cause.errno in _FULL
         if full or any(words in str(cause) for words in _SAID):
             where = f"{cause.filename}: " if isinstance(cause, OSError) and cause.filename else ""
@@ -30,15 +42,16 @@ store=…, dataset.root=…); finished files are as they were, and the same comm
                 "(hydra.run.dir=…, store=…, dataset.root=…); finished files are as they were, and "
                 "the same command goes on."
             )
-        if isinstance(cause, OSError) and cause.errno == errno.EROFS:
+        if isinstance(cause, OSError) and cause.filename and cause.errno in _REFUSED:
             return (
-                f"{cause.filename}: the disk can only be read. Write elsewhere (hydra.run.dir=…, "
-                "store=…, dataset.root=…)."
+                f"{cause.filename}: {_REFUSED[cause.errno]}. Name another place (hydra.run.dir=…, "
+                "store=…, dataset.root=…), or change this one."
             )
     return None
 
 
-def _chain(error: BaseException | None) -> Iterator[BaseException]:
+def chain_of(error: BaseException | None) -> Iterator[BaseException]:
+    """An error, what caused it, what caused that."""
     seen: set[int] = set()
     while error is not None and id(error) not in seen:
         seen.add(id(error))

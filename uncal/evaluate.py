@@ -12,6 +12,7 @@ from omegaconf import DictConfig
 from uncal.configuration import CONFIG_DIR, exits_on_error, job_folder, quiet_libraries
 from uncal.errors import ConfigurationError
 from uncal.settings.command_line import quote_arguments
+from uncal.settings.help_page import show_help
 
 log = logging.getLogger(__name__)
 
@@ -105,5 +106,6 @@ def chosen_weights(weights: str | None, ckpt: str | None) -> Path:
 
 
 if __name__ == "__main__":
+    show_help("hydra/evaluate.yaml")
     quote_arguments()
     main()

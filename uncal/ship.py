@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 import argparse
-import json
-import logging
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import cast
+from typing import TYPE_CHECKING, cast
 
-from omegaconf import DictConfig, OmegaConf
+from uncal.configuration import exits_on_error
+from uncal.errors import ConfigurationError
 
-from uncal.errors import ConfigurationError, UncalError
-from uncal.weights.shipped import load_checkpoint, save_shipped
-
-log = logging.getLogger(__name__)
+if TYPE_CHECKING:
+    from omegaconf import DictConfig
 
 LARGEST_BYTES = 10_000_000
 """Weights that ship are at most so large."""
 
 
+@exits_on_error
 def main(arguments: Sequence[str] | None = None) -> None:
     """Read a run's folder, write ``NAME.safetensors`` and ``NAME.md``.
 
@@ -38,10 +36,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--commit", default="", help="commit of the training code")
     parser.add_argument("--limits", default="", help="what the weights cannot do")
     given = parser.parse_args(arguments)
-    try:
-        ship(given.run, given.target, given.training, given.commit, given.limits)
-    except UncalError as error:
-        raise SystemExit(str(error)) from error
+    ship(given.run, given.target, given.training, given.commit, given.limits)
 
 
 def ship(run: Path, target: Path, training: str, commit: str, limits: str) -> None:
@@ -57,36 +52,53 @@ def ship(run: Path, target: Path, training: str, commit: str, limits: str) -> No
     Raises:
         ConfigurationError: the folder is no finished run, or the weights are too large.
     """
-    record = run / "run.json"
-    if not record.is_file():
-        raise ConfigurationError(f"{run}: no run.json; give the folder of a finished run")
-    known = json.loads(record.read_text(encoding="utf-8"))
-    state, recipe = load_checkpoint(run / "checkpoints" / "best.ckpt")
-    path = target.with_suffix(".safetensors")
-    plain = cast("dict[str, object]", OmegaConf.to_container(recipe, resolve=True))
-    save_shipped(state, plain, path)
-    size = path.stat().st_size
-    if size > LARGEST_BYTES:
-        path.unlink()
+    # Here and not above: they take seconds, which --help has no use for.
+    from omegaconf import OmegaConf
+
+    from uncal.reporting.layout import replaced_whole, write_whole
+    from uncal.reporting.run_record import read_record
+    from uncal.weights.shipped import load_checkpoint, save_shipped
+
+    known, table = read_record(run), run / "results.md"
+    if known is None or not table.is_file():
+        lacking = "run.json" if known is None else table.name
         raise ConfigurationError(
-            f"{path}: {size / 1e6:.1f} MB, more than {LARGEST_BYTES / 1e6:.0f}: use a smaller model"
+            f"{run}: no {lacking} that can be read; give the folder of one finished run of "
+            "uncal.train or uncal.evaluate (of a multirun: of one of its jobs)"
         )
-    card = _card(target.name, run, known, recipe, size, training, commit, limits)
-    target.with_suffix(".md").write_text(card, encoding="utf-8")
-    sys.stdout.write(f"{path} ({size / 1e6:.2f} MB)\n{target.with_suffix('.md')}\n")
+    state, recipe = load_checkpoint(run / "checkpoints" / "best.ckpt")
+    stem = target.name.removesuffix(".safetensors")
+    path, card = target.with_name(f"{stem}.safetensors"), target.with_name(f"{stem}.md")
+    plain = cast("dict[str, object]", OmegaConf.to_container(recipe, resolve=True))
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with replaced_whole(path) as partial:
+            save_shipped(state, plain, partial)
+            size = partial.stat().st_size
+            if size > LARGEST_BYTES:
+                raise ConfigurationError(
+                    f"{path}: {size / 1e6:.1f} MB, more than {LARGEST_BYTES / 1e6:.0f}: use a "
+                    "smaller model"
+                )
+        text = table.read_text(encoding="utf-8").split("\n## ")[0]
+        write_whole(card, _card(stem, text, known, recipe, size, training, commit, limits))
+    except OSError as error:
+        raise ConfigurationError(f"{target}: cannot be written ({error.strerror})") from error
+    sys.stdout.write(f"{path} ({size / 1e6:.2f} MB)\n{card}\n")
 
 
 def _card(
     name: str,
-    run: Path,
-    known: dict[str, object],
+    table: str,
+    known: Mapping[str, object],
     recipe: DictConfig,
     size: int,
     training: str,
     commit: str,
     limits: str,
 ) -> str:
-    table = (run / "results.md").read_text(encoding="utf-8").split("\n## ")[0]
+    from omegaconf import OmegaConf
+
     lines = [
         f"# Weights `{name}`",
         "",

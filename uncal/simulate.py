@@ -12,6 +12,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from uncal.configuration import CONFIG_DIR, exits_on_error
 from uncal.settings.command_line import quote_arguments
+from uncal.settings.help_page import show_help
 
 log = logging.getLogger(__name__)
 
@@ -41,5 +42,6 @@ def main(config: DictConfig) -> None:
 
 
 if __name__ == "__main__":
+    show_help("simulate.yaml")
     quote_arguments()
     main()

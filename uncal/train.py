@@ -13,6 +13,7 @@ from omegaconf import DictConfig
 from uncal.configuration import CONFIG_DIR, exits_on_error, job_folder, quiet_libraries
 from uncal.errors import ConfigurationError, UncalError
 from uncal.settings.command_line import quote_arguments
+from uncal.settings.help_page import show_help
 
 if TYPE_CHECKING:
     import lightning
@@ -62,7 +63,7 @@ def main(config: DictConfig) -> float:
         start_from(module, find_weights(config.model.weights))
     trainer = build_trainer(config)
     if config.ckpt is not None:
-        check_start(module, Path(config.ckpt))
+        check_start(module, Path(config.ckpt), config.trainer.max_epochs)
     data = build_data(config)
 
     shared = data_ingredients(config, data)
@@ -219,5 +220,6 @@ def last_checkpoint(trainer: lightning.Trainer) -> Path | None:
 
 
 if __name__ == "__main__":
+    show_help("hydra/default.yaml")
     quote_arguments()
     main()

@@ -1,5 +1,8 @@
 from pathlib import Path
 
+import cv2
+import numpy as np
+import pytest
 import torch
 from torch import Tensor
 
@@ -133,3 +136,31 @@ def test_a_limited_loader_spreads_over_the_split(kitti_raw_root: Path) -> None:
     train = data.splits["train"]
     frames = [frame for batch in data.loader_of("train", 2) for frame in batch.frames]
     assert sorted(map(str, frames)) == sorted(map(str, [train[0], train[len(train) // 2]]))
+
+
+def test_images_of_two_sizes_and_numbers_from_4391_share_a_batch(kitti_raw_root: Path) -> None:
+    """As KITTI's days do: 1242×375 and 1226×370."""
+    other = kitti_raw_root / "2011_09_28"
+    calibration = other / "calib_cam_to_cam.txt"
+    kept = [line for line in calibration.read_text().splitlines() if "S_rect" not in line]
+    calibration.write_text("\n".join([*kept, "S_rect_02: 1226.0 370.0"]) + "\n")
+    drive = other / "2011_09_28_drive_0005_sync"
+    for index in range(2):
+        for folder, suffix in (("image_02", ".png"), ("velodyne_points", ".bin")):
+            path = drive / folder / "data" / f"{index:010d}{suffix}"
+            path = path.rename(path.with_stem(f"{index + 4391:010d}"))
+        image = drive / "image_02" / "data" / f"{index + 4391:010d}.png"
+        cv2.imwrite(str(image), np.full((370, 1226, 3), 90, np.uint8))
+    data = data_module(kitti_raw_root)
+    assert not data.skipped
+    frames = [frame for frame in data.recording.frame_ids if frame.index < 1 or frame.index > 4000]
+    assert [frame.index for frame in frames] == [0, 0, 4391, 4392]
+    dataset = data._dataset("test")
+    dataset.units = [[frame] for frame in frames]
+    batch = collate([dataset[i] for i in range(4)])
+    assert not batch.skipped
+    assert batch.camera.shape == (4, 3, 64, 96)
+    # The focal length follows each image's own scale.
+    scales = [float(focal) / 46.0 for focal in batch.K[:, 0, 0]]
+    assert scales[:2] == pytest.approx([64 / 24] * 2, rel=5e-3)
+    assert scales[2:] == pytest.approx([64 / 370] * 2, rel=5e-3)

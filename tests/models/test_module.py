@@ -2,9 +2,11 @@ from pathlib import Path
 from typing import cast
 from unittest.mock import patch
 
+import lightning
 import pytest
 import torch
 from torch import Tensor, nn
+from torch.utils.data import DataLoader
 
 from uncal.data.network_input import NetworkInput
 from uncal.decalibration import DecalibrationRange
@@ -19,7 +21,7 @@ from uncal.models.heads import DisplacementHead, PoseHead, QuantileHead
 from uncal.models.losses import displacement_loss, pose_loss, relative_error
 from uncal.models.mobilevit import MobileViT
 from uncal.models.module import CalibrationModule
-from uncal.models.prediction import SPREADS, frame_seed, pass_names
+from uncal.models.prediction import SPREADS, SplitPrediction, frame_seed, pass_names
 from uncal.models.unical import UniCal
 from uncal.recordings.frame import FrameId
 from uncal.uncertainty import ConformalCalibrator, MCDropout
@@ -182,6 +184,23 @@ def test_stochastic_passes_leave_the_module_as_it_was(kind: str) -> None:
         assert torch.equal(value, before[key]), key
     evaluated = subject.eval().stochastic(batch, "test")
     assert torch.equal(training.mean, evaluated.mean)
+
+
+def test_prediction_by_a_trainer_is_stochastic_and_the_same_as_in_a_test(tmp_path: Path) -> None:
+    """A trainer puts a network into evaluation mode, in which plain dropout is silent: σ = 0."""
+    subject, batch = module(alignment()), network_input(2)
+    trainer = lightning.Trainer(
+        accelerator="cpu",
+        logger=False,
+        enable_progress_bar=False,
+        default_root_dir=str(tmp_path),
+    )
+    with patch.object(subject, "transfer_batch_to_device", lambda batch, *_: batch):
+        predicted = trainer.predict(subject, DataLoader([batch], batch_size=None))
+    assert predicted is not None
+    (found,) = cast("list[SplitPrediction]", predicted)
+    assert (found.std > 0).all()
+    assert torch.equal(found.std, subject.stochastic(batch, "test").std)
 
 
 def test_a_few_steps_overfit_one_batch() -> None:

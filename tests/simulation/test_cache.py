@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import fcntl
 import logging
 import os
 import shutil
@@ -13,12 +12,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from filelock import FileLock
 from omegaconf import OmegaConf
 
 from uncal.errors import RecordingError
 from uncal.simulation import cache
 from uncal.simulation.cache import ensure_simulated
-from uncal.simulation.manifest import LOCK_NAME, Manifest
+from uncal.simulation.manifest import DRAFT_NAME, LOCK_NAME, Manifest, read_manifest
 from uncal.simulation.settings import SimulationSettings
 
 MakeSettings = Callable[..., SimulationSettings]
@@ -118,6 +118,13 @@ def test_foreign_folders_are_left_alone(
     assert (tmp_path / name).read_text() == text
 
 
+def test_a_draft_of_a_manifest_alone_is_no_foreign_folder(tmp_path: Path) -> None:
+    """What is left of a process that was killed before its first manifest was whole."""
+    (tmp_path / LOCK_NAME).write_text("1\n")
+    (tmp_path / DRAFT_NAME).write_text('{"generator": ')
+    assert read_manifest(tmp_path) is None
+
+
 def test_a_file_is_no_folder(tiny_settings: SimulationSettings, tmp_path: Path) -> None:
     (tmp_path / "root").write_text("")
     with pytest.raises(RecordingError, match="is a file; name a folder"):
@@ -127,16 +134,16 @@ def test_a_file_is_no_folder(tiny_settings: SimulationSettings, tmp_path: Path) 
 def test_a_second_process_waits_for_the_first(
     tiny_settings: SimulationSettings, root: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    with (root / LOCK_NAME).open("w") as lock, caplog.at_level(logging.INFO):
-        lock.write("4242")
-        lock.flush()
-        fcntl.flock(lock, fcntl.LOCK_EX)
+    lock = FileLock(root / LOCK_NAME)
+    with caplog.at_level(logging.INFO):
+        lock.acquire()
+        (root / LOCK_NAME).write_text("4242")
         waiting = threading.Thread(target=ensure_simulated, args=(tiny_settings, root, 1, False))
         waiting.start()
         waiting.join(timeout=0.3)
         assert waiting.is_alive()
         assert "waiting for process 4242" in caplog.text
-        fcntl.flock(lock, fcntl.LOCK_UN)
+        lock.release()
         waiting.join(timeout=10)
         assert not waiting.is_alive()
     assert "reusing the simulation" in caplog.text

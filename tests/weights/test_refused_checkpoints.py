@@ -75,13 +75,17 @@ def test_another_projects_checkpoint_lacks_what_we_write(tmp_path: Path) -> None
 
 def test_a_training_goes_on_with_its_own_state_only(tmp_path: Path) -> None:
     weights = {"layer.weight": torch.zeros(2)}
-    full = checkpoint(tmp_path / "last.ckpt", weights, optimizer_states=[])
-    check_start(network(), full)
+    full = checkpoint(tmp_path / "last.ckpt", weights, optimizer_states=[], epoch=2)
+    check_start(network(), full, 3)
     with pytest.raises(ConfigurationError, match=r"layer\.weight: of another size of network"):
-        check_start(network(width=3), full)
-    other = checkpoint(tmp_path / "other.ckpt", {"head.bias": torch.zeros(2)}, optimizer_states=[])
+        check_start(network(width=3), full, 3)
+    other = checkpoint(
+        tmp_path / "other.ckpt", {"head.bias": torch.zeros(2)}, optimizer_states=[], epoch=2
+    )
     with pytest.raises(ConfigurationError, match=r"layer\.weight, head\.bias: not of this network"):
-        check_start(network(), other)
+        check_start(network(), other, 3)
     bare = checkpoint(tmp_path / "best.ckpt", weights)
     with pytest.raises(ConfigurationError, match=r"not the state of their training.*last\.ckpt"):
-        check_start(network(), bare)
+        check_start(network(), bare, 3)
+    with pytest.raises(ConfigurationError, match=r"3 epochs behind it, trainer\.max_epochs=2"):
+        check_start(network(), full, 2)

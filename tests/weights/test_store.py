@@ -3,6 +3,7 @@ import threading
 from pathlib import Path
 
 import pytest
+import torch
 
 from uncal.weights.obtain import obtain
 from uncal.weights.store import CHECKPOINT, RECORD, Trained, WeightStore
@@ -64,7 +65,7 @@ def test_an_interrupted_training_goes_on_and_retrain_starts_anew(tmp_path: Path)
     last = tmp_path / "last.ckpt"
 
     def interrupted(start: Path | None) -> Path:
-        last.write_text("epoch 1")
+        torch.save({"epoch": 1}, last)
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
@@ -99,6 +100,20 @@ def test_a_lost_checkpoint_of_an_interrupted_training_is_no_start(tmp_path: Path
     store.folder.mkdir(parents=True)
     store.begin(tmp_path / "gone.ckpt")
     assert store.interrupted() is None
+
+
+def test_a_checkpoint_cut_short_is_no_start(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    store = WeightStore(tmp_path / "store", INGREDIENTS)
+    store.folder.mkdir(parents=True)
+    last = tmp_path / "last.ckpt"
+    torch.save({"weights": torch.zeros(1000)}, last)
+    store.begin(last)
+    assert store.interrupted() == last
+    last.write_bytes(last.read_bytes()[:2000])
+    assert store.interrupted() is None
+    assert f"{last} is damaged" in caplog.text
 
 
 @pytest.mark.parametrize("damage", ["not json", "[1]", '{"seconds": 1}'])

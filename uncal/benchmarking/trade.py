@@ -14,6 +14,7 @@ import torch
 from uncal.assembly import build_data, build_module
 from uncal.benchmarking.placement import placements
 from uncal.checkpoint import load_weights, read_recipe
+from uncal.errors import ConfigurationError, RecordingError
 from uncal.geometry import DOF_SCALE
 from uncal.metrics.functional import interval_score, mpiw, picp
 from uncal.models.answer import Estimator
@@ -80,6 +81,10 @@ def measure_trade(
     lightning.seed_everything(run.seed, workers=True, verbose=False)
     data, module = build_data(run), build_module(run)
     load_weights(module, ckpt, calibrated=True)
+    if not module.learns:
+        raise ConfigurationError(
+            f"ckpt={ckpt}: model={run.model.name} has no dropout, whose placement could be measured"
+        )
     module.to(device).eval()
     trainer = lightning.Trainer(
         accelerator="gpu" if device.type == "cuda" else "cpu",
@@ -90,7 +95,9 @@ def measure_trade(
     scale = torch.tensor(DOF_SCALE)
     batch = next(iter(data.loader_of("test", most=1)))
     one = data.on_after_batch_transfer(batch.to(device), 0)
-    assert one is not None
+    if one is None:
+        (frame, reason), *_ = data.skipped.items()
+        raise RecordingError(f"{frame}, which passes are timed on, cannot be read: {reason}")
     estimator = cast(Estimator, module.estimator)
     with torch.no_grad():
         question = estimator.question(one)

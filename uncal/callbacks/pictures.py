@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import errno
-import os
 from collections.abc import Mapping
 from pathlib import Path
 
-import cv2
 import numpy as np
 import torch
 from lightning import Trainer
@@ -16,6 +13,7 @@ from numpy.typing import NDArray
 
 from uncal.data.datamodule import CalibrationDataModule
 from uncal.data.dataset import Sample
+from uncal.recordings.sensor_files import write_image
 from uncal.reporting.overlay import draw_events, overlay_panel
 
 WIDTH_PX = 1000
@@ -47,9 +45,7 @@ def background(data: CalibrationDataModule, sample: Sample) -> NDArray[np.uint8]
 def keep_picture(trainer: Trainer, picture: NDArray[np.uint8], path: Path, tag: str) -> None:
     """Write a PNG and show it in TensorBoard."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    if not cv2.imwrite(str(path), picture[:, :, ::-1]):
-        # All that OpenCV says; the folder is there.
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+    write_image(path, picture)
     show_picture(trainer, picture, tag)
 
 

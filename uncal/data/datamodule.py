@@ -183,6 +183,10 @@ class CalibrationDataModule(lightning.LightningDataModule):
         """Test batches, in order."""
         return self.loader_of("test")
 
+    def predict_dataloader(self) -> DataLoader[Batch]:
+        """What ``trainer.predict`` looks at: the test batches."""
+        return self.loader_of("test")
+
     def share_skipped(self) -> None:
         """Let every process know what the others skipped."""
         if dist.is_available() and dist.is_initialized():

@@ -213,6 +213,10 @@ class CalibrationModule(lightning.LightningModule):
         self.tested = join_predictions(self._tested, "test")
         self._tested.clear()
 
+    def predict_step(self, batch: NetworkInput | None, batch_idx: int) -> SplitPrediction | None:
+        """Mean and σ of the stochastic passes, as in a test; None without a readable frame."""
+        return None if batch is None else self.stochastic(batch, "test")
+
     def on_save_checkpoint(self, checkpoint: dict[str, object]) -> None:
         """Add the settings that another process needs to rebuild this module."""
         checkpoint["uncal_recipe"] = self.recipe

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import torch
 from torch import Tensor
@@ -68,6 +68,20 @@ class SplitPrediction:
                 covariance = covariance + _covariance(passes)
             std = covariance.diagonal(dim1=1, dim2=2).sqrt()
         return cls(batch.place, mean, std, batch.target, covariance, bounds)
+
+    def to(self, device: torch.device | str) -> SplitPrediction:
+        """The same on another device, where ``trainer.predict`` moves what it collects.
+
+        Args:
+            device: where to.
+        """
+        moved = {
+            field.name: getattr(self, field.name).to(device)
+            for field in fields(self)
+            if field.name != "bounds"
+        }
+        bounds = self.bounds and (self.bounds[0].to(device), self.bounds[1].to(device))
+        return SplitPrediction(**moved, bounds=bounds)
 
     def groups(self, frames: Sequence[FrameId], by: str) -> list[str]:
         """What the frames belong to.

@@ -49,6 +49,25 @@ def read_image(path: Path) -> NDArray[np.uint8]:
     return cv2.cvtColor(image, _TO_RGB[channels]).astype(np.uint8, copy=False)
 
 
+def write_image(path: Path, image: NDArray[np.uint8]) -> int:
+    """Write a PNG.
+
+    OpenCV's own writer reports success where a disk becomes full within the last block.
+
+    Args:
+        path: in an existing folder.
+        image: (h, w, 3) RGB.
+
+    Returns:
+        Bytes written.
+
+    Raises:
+        OSError: the file could not be written.
+    """
+    _, encoded = cv2.imencode(".png", np.ascontiguousarray(image[..., ::-1]))
+    return path.write_bytes(encoded.tobytes())
+
+
 def read_scan(path: Path) -> tuple[NDArray[np.float32], int]:
     """Read a Velodyne scan and drop the points that are not finite.
 

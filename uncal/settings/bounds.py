@@ -33,6 +33,8 @@ BOUNDS: Mapping[str, Rule] = {
     "data_root": Either(Text(), None),
     "passes": Number(1, 10_000, whole=True),
     "rounds": Number(1, 10_000, whole=True),
+    "cases.*.size": Listed(Number(32, 4096, whole=True), 2),
+    "cases.*.batches": Listed(COUNT),
     "compile": Either(Words("auto"), Flag()),
     "decalibration.rotation_deg": Number(0, 45, above=True),
     "decalibration.translation_cm": Number(0, 1000, above=True),

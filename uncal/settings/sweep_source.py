@@ -83,6 +83,11 @@ def sweeps_parent(package: Path) -> Path:
     return beside if (beside / GROUP / "passes.yaml").is_file() else package
 
 
+def sweeps_folder() -> Path:
+    """The folder ``sweeps`` of this installation."""
+    return sweeps_parent(_PACKAGE) / GROUP
+
+
 def register() -> None:
     """Make Hydra know the sweeps; a second call does nothing."""
     for plugin in (SweepSource, SweepSearchPath):

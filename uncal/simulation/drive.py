@@ -7,9 +7,10 @@ from functools import lru_cache
 from pathlib import Path
 
 import cv2
-import numpy as np
 
+from uncal.disk import disk_trouble
 from uncal.errors import RecordingError
+from uncal.recordings.sensor_files import write_image
 from uncal.simulation.buildings import add_buildings
 from uncal.simulation.camera import Camera
 from uncal.simulation.cars import add_cars
@@ -121,14 +122,11 @@ def write_frames(settings: SimulationSettings, piece: Piece, folder: Path) -> in
         cloud = folder / "velodyne_points" / "data" / f"{frame:010d}.bin"
         motion = folder / "oxts" / "data" / f"{frame:010d}.txt"
         try:
-            if not cv2.imwrite(str(picture), np.ascontiguousarray(image[..., ::-1])):
-                raise OSError("OpenCV gives no reason")
-            points.tofile(cloud)
+            written += write_image(picture, image) + cloud.write_bytes(points.tobytes())
             if settings.lidar.motion_distortion:
                 motion.write_text(oxts_line(T_world_lidar[:3, :3].T @ velocity))
         except OSError as error:
             raise RecordingError(
-                f"{picture} or {cloud.name} could not be written ({error}); is the disk full?"
+                disk_trouble(error) or f"{picture} or {cloud.name} could not be written ({error})"
             ) from error
-        written += picture.stat().st_size + points.nbytes
     return written

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from uncal.disk import disk_trouble
 from uncal.errors import RecordingError
 from uncal.simulation.drive import Piece, build_scene
 from uncal.simulation.event_camera import EventCamera, SensorEvents
@@ -175,5 +176,7 @@ def write_part(settings: SimulationSettings, piece: Piece, path: Path) -> int:
     try:
         np.savez(path, **{name: getattr(recorded, name) for name in recorded.__dataclass_fields__})
     except OSError as error:
-        raise RecordingError(f"{path} could not be written ({error}); is the disk full?") from error
+        raise RecordingError(
+            disk_trouble(error) or f"{path} could not be written ({error})"
+        ) from error
     return path.stat().st_size

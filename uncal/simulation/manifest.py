@@ -12,6 +12,7 @@ from uncal.simulation.settings import VERSION, SimulationSettings
 
 MANIFEST_NAME = "simulation.json"
 LOCK_NAME = ".simulation.lock"
+DRAFT_NAME = f".{MANIFEST_NAME}.new"
 GENERATOR = "uncal.simulation"
 
 
@@ -58,7 +59,7 @@ class Manifest:
 
     def write(self, root: Path) -> None:
         """Write into ``root``, atomically."""
-        unfinished = root / f".{MANIFEST_NAME}.new"
+        unfinished = root / DRAFT_NAME
         unfinished.write_text(json.dumps(asdict(self), indent=1) + "\n")
         unfinished.replace(root / MANIFEST_NAME)
 
@@ -70,7 +71,8 @@ def read_manifest(root: Path) -> Manifest | None:
         RecordingError: the folder holds something that this simulator did not write.
     """
     found = sorted(entry.name for entry in root.iterdir()) if root.is_dir() else []
-    found = [name for name in found if name != LOCK_NAME]
+    # A process that is killed before its first manifest is whole leaves these alone.
+    found = [name for name in found if name not in (LOCK_NAME, DRAFT_NAME)]
     if root.exists() and not root.is_dir():
         raise RecordingError(f"{root} is a file; name a folder for the simulation")
     if not found:

@@ -6,6 +6,7 @@ import contextlib
 import json
 import logging
 import shutil
+import zipfile
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -82,7 +83,13 @@ class WeightStore:
         """The checkpoint after the last epoch of a training that did not end; None without one."""
         content = _read(self.folder / UNFINISHED)
         last = None if content is None else Path(str(content.get("last")))
-        return last if last is not None and last.is_file() else None
+        if last is None or not last.is_file():
+            return None
+        # The table of contents stands at the end: a file that was cut short has none.
+        if not zipfile.is_zipfile(last):
+            log.warning("%s is damaged: the interrupted training is not gone on with", last)
+            return None
+        return last
 
     def begin(self, last: Path | None) -> None:
         """Note where a training that starts now keeps its last epoch.
