@@ -320,7 +320,7 @@ def recordings(tmp_path_factory: pytest.TempPathFactory, start: Run, tiny: list[
     # Beside xdist's workers, who wait for the one that simulates.
     folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "tiny_recordings"
     simulation = [word.removeprefix("dataset.") for word in tiny if ".simulation." in word]
-    made = start("uncal.simulate", f"root={folder}", *simulation, cwd=base)
+    made = start("uncal.simulate", f"root={folder}", "workers=1", *simulation, cwd=base)
     assert made.returncode == 0, made.stderr
     return folder
 
