@@ -28,17 +28,17 @@ def test_parallel_jobs_end_as_those_in_turn_do(
     start_process: Run,
     tiny: list[str],
     quick: list[str],
-    make_workplace: Callable[[str], Path],
+    tmp_path: Path,
 ) -> None:
-    place = make_workplace("launcher")
+    # An empty folder: jobs simulate too, in processes that a launcher has started.
     words = [*SWEPT, *tiny, *quick, *launcher, "hydra.sweep.dir=many"]
     # Without it, so that the multirun shares the cores itself.
-    finished = start_process("uncal.train", *words, cwd=place, without="OMP_NUM_THREADS")
+    finished = start_process("uncal.train", *words, cwd=tmp_path, without="OMP_NUM_THREADS")
     assert finished.returncode == 1, finished.stderr[-4000:]
     assert "mcd.passes=0: expected a whole number from 1" in finished.stderr
     assert "thread(s) per job" in finished.stdout
 
-    many = place / "many"
+    many = tmp_path / "many"
     with (many / "summary.csv").open(encoding="utf-8") as file:
         table = list(csv.DictReader(file))
     assert [(row["mcd.passes"], row["dof"]) for row in table] == [
@@ -50,4 +50,4 @@ def test_parallel_jobs_end_as_those_in_turn_do(
     assert "- `1` (mcd.passes=0): mcd.passes=0: expected a whole number from 1" in text
     assert "![Interval score against stochastic passes](figures/interval_score.png)" in text
     assert (many / "figures" / "interval_score.pdf").is_file()
-    assert not list(place.rglob("*.partial"))
+    assert not list(tmp_path.rglob("*.partial"))
