@@ -27,7 +27,7 @@ def train(workplace: Path, start: Run, words: list[str]) -> Train:
     """Everything that a run says; fails the test if the run fails."""
 
     def train(*overrides: str, start: Run = start) -> str:
-        done = start("uncal.train", *words, *overrides, cwd=workplace)
+        done = start("uncal.train", *overrides, *words, cwd=workplace)
         assert done.returncode == 0, done.stderr[-4000:]
         return done.stdout + done.stderr
 
