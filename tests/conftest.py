@@ -208,7 +208,7 @@ def start_process() -> Run:
     """As :func:`start`, in a process of its own; for tests marked slow."""
 
     def start(
-        module: str, *overrides: str, cwd: Path, without: str = "", timeout: float = 600
+        module: str, *overrides: str, cwd: Path, without: str = "", timeout: float = 1200
     ) -> subprocess.CompletedProcess[str]:
         return subprocess.run(
             [sys.executable, "-m", module, *overrides],
@@ -240,11 +240,11 @@ def interrupt() -> Run:
             text=True,
             preexec_fn=_heed_interrupts,
         )
-        deadline = time.monotonic() + 300
+        deadline = time.monotonic() + 900
         while not after.exists() and started.poll() is None and time.monotonic() < deadline:
             time.sleep(0.05)
         started.send_signal(signal.SIGINT)
-        _, stderr = started.communicate(timeout=120)
+        _, stderr = started.communicate(timeout=600)
         return subprocess.CompletedProcess(command, started.returncode, "", stderr)
 
     return start
