@@ -1,10 +1,21 @@
-"""Shared fixtures: tiny recordings in the real layouts, and the folder of real KITTI frames."""
+"""Shared fixtures: tiny recordings in the real layouts, real KITTI frames, entry points started."""
 
 from __future__ import annotations
 
+import contextlib
+import importlib
+import io
 import logging
 import os
+import signal
+import subprocess
+import sys
+import time
+import warnings
+from collections.abc import Callable
 from pathlib import Path
+from typing import TextIO
+from unittest import mock
 
 # Before torch is imported: tests run side by side, and so do the processes that they start.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -14,8 +25,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from uncal.configuration import CONFIG_DIR
 from uncal.recordings.frame import Frame
 from uncal.recordings.kitti import KittiRaw
+from uncal.settings.command_line import readable
+
+Run = Callable[..., "subprocess.CompletedProcess[str]"]
 
 IMAGE_SIZE = (24, 80)
 """Height, width of the generated images."""
@@ -148,3 +163,193 @@ def _logging_as_python_starts_it() -> None:
     for logger in logging.Logger.manager.loggerDict.values():
         if isinstance(logger, logging.Logger):
             logger.disabled = False
+
+
+TINY = (
+    "dataset.simulation.n_rigs=10",
+    "dataset.simulation.frames_per_drive=4",
+    "dataset.simulation.camera.supersampling=1",
+    "dataset.simulation.lidar.beams=32",
+    "dataset.loader.batch_size=4",
+    "trainer.accelerator=cpu",
+)
+QUICK = (
+    "trainer.max_epochs=1",
+    "interval.levels=[0.5]",
+    "callbacks.overlays=null",
+    "callbacks.figures=null",
+    "callbacks.interval_overlays=null",
+)
+
+
+@pytest.fixture(scope="session")
+def tiny() -> list[str]:
+    """Overrides that make the demo tiny."""
+    return list(TINY)
+
+
+@pytest.fixture(scope="session")
+def quick() -> list[str]:
+    """Overrides for one epoch, one level and no pictures, where a test looks at none of them."""
+    return list(QUICK)
+
+
+@pytest.fixture(scope="session")
+def start() -> Run:
+    """``start("uncal.train", *overrides, cwd=folder)``: an entry point within this process.
+
+    What it prints and its exit code are those of ``python -m uncal.train``, without its imports.
+    """
+    return _start_here
+
+
+@pytest.fixture(scope="session")
+def start_process() -> Run:
+    """As :func:`start`, in a process of its own; for tests marked slow."""
+
+    def start(
+        module: str, *overrides: str, cwd: Path, without: str = "", timeout: float = 1200
+    ) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [sys.executable, "-m", module, *overrides],
+            cwd=cwd,
+            env=_environment(without),
+            capture_output=True,
+            text=True,
+            timeout=timeout,
+            check=False,
+        )
+
+    return start
+
+
+@pytest.fixture(scope="session")
+def interrupt() -> Run:
+    """As :func:`start_process`, with Ctrl-C as soon as the file ``after`` is there."""
+
+    def start(
+        module: str, *overrides: str, cwd: Path, after: Path
+    ) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, "-m", module, *overrides]
+        started = subprocess.Popen(
+            command,
+            cwd=cwd,
+            env=_environment(),
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
+            preexec_fn=_heed_interrupts,
+        )
+        deadline = time.monotonic() + 900
+        while not after.exists() and started.poll() is None and time.monotonic() < deadline:
+            time.sleep(0.05)
+        started.send_signal(signal.SIGINT)
+        _, stderr = started.communicate(timeout=600)
+        return subprocess.CompletedProcess(command, started.returncode, "", stderr)
+
+    return start
+
+
+def _heed_interrupts() -> None:
+    """What a shell starts in the background ignores Ctrl-C, and so would what the tests start."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
+def _environment(without: str = "") -> dict[str, str]:
+    package = str(Path(__file__).parents[1])
+    path = os.pathsep.join(filter(None, (package, os.environ.get("PYTHONPATH"))))
+    added = {"PYTHONUNBUFFERED": "1", "COLUMNS": "110", "PYTHONPATH": path}
+    return {key: value for key, value in (os.environ | added).items() if key != without}
+
+
+def _start_here(module: str, *overrides: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    from lightning.pytorch.utilities.seed import isolate_rng
+
+    main = importlib.import_module(module).main
+    stdout, stderr = io.StringIO(), io.StringIO()
+    words = readable(overrides, Path(CONFIG_DIR))
+    with (
+        pytest.MonkeyPatch.context() as patch,
+        mock.patch.dict(os.environ, {"COLUMNS": "110"}),
+        contextlib.redirect_stdout(stdout),
+        contextlib.redirect_stderr(stderr),
+        warnings.catch_warnings(),
+        isolate_rng(),
+    ):
+        patch.chdir(cwd)
+        patch.setattr(sys, "argv", [module, *words])
+        patch.setattr(sys, "orig_argv", ["python", "-m", module, *words])
+        warnings.resetwarnings()
+        for unseen in (DeprecationWarning, PendingDeprecationWarning, ImportWarning):
+            warnings.simplefilter("ignore", unseen)
+        patch.setattr(warnings, "formatwarning", warnings.formatwarning)  # to be put back
+        patch.setattr(warnings, "showwarning", _show_warning)
+        code = _exit_code(main, stderr)
+    return subprocess.CompletedProcess(
+        [module, *overrides], code, stdout.getvalue(), stderr.getvalue()
+    )
+
+
+def _show_warning(
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    file: TextIO | None = None,
+    line: str | None = None,
+) -> None:
+    sys.stderr.write(warnings.formatwarning(message, category, filename, lineno, line))
+
+
+def _exit_code(main: Callable[[], object], stderr: io.StringIO) -> int:
+    """What Python makes of the way in which a program ends."""
+    try:
+        main()
+    except SystemExit as ended:
+        if ended.code is None or isinstance(ended.code, int):
+            return ended.code or 0
+        stderr.write(f"{ended.code}\n")
+        return 1
+    return 0
+
+
+@pytest.fixture(scope="session")
+def recordings(tmp_path_factory: pytest.TempPathFactory, start: Run, tiny: list[str]) -> Path:
+    """The tiny demo's simulated recordings, shared by all tests; they must not change them."""
+    base = tmp_path_factory.getbasetemp()
+    # Beside xdist's workers, who wait for the one that simulates.
+    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "tiny_recordings"
+    simulation = [word.removeprefix("dataset.") for word in tiny if ".simulation." in word]
+    made = start("uncal.simulate", f"root={folder}", "workers=1", *simulation, cwd=base)
+    assert made.returncode == 0, made.stderr
+    return folder
+
+
+@pytest.fixture(scope="session")
+def make_workplace(
+    tmp_path_factory: pytest.TempPathFactory, recordings: Path
+) -> Callable[[str], Path]:
+    """Folders to start entry points from, where the demo finds its recordings simulated."""
+
+    def make(name: str) -> Path:
+        folder = tmp_path_factory.mktemp(name)
+        (folder / "data").mkdir()
+        (folder / "data" / "demo").symlink_to(recordings)
+        return folder
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def workplace(make_workplace: Callable[[str], Path]) -> Path:
+    """Where the one run of the demo is, in the folder ``first``."""
+    return make_workplace("runs")
+
+
+@pytest.fixture(scope="session")
+def demo(workplace: Path, start: Run, tiny: list[str]) -> subprocess.CompletedProcess[str]:
+    """One tiny run of the demo for all tests that look at what a run leaves."""
+    run = ("trainer.max_epochs=2", "mcd.passes=4", "hydra.run.dir=first")
+    finished = start("uncal.train", *tiny, *run, cwd=workplace)
+    assert finished.returncode == 0, finished.stderr[-4000:]
+    return finished

@@ -1,9 +1,9 @@
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import cast
 
@@ -12,6 +12,8 @@ from omegaconf import OmegaConf
 
 from uncal.configuration import CONFIG_DIR
 from uncal.simulate import main
+
+Run = Callable[..., "subprocess.CompletedProcess[str]"]
 
 TINY = (
     "simulation.n_rigs=1",
@@ -25,20 +27,12 @@ TINY = (
 )
 
 
-def run(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    package = str(Path(__file__).parents[1])
-    return subprocess.run(
-        [sys.executable, "-m", "uncal.simulate", *arguments],
-        cwd=folder,
-        env={**os.environ, "PYTHONPATH": package},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-
-
-def test_simulates_then_reuses_and_leaves_nothing_else(tmp_path: Path) -> None:
-    first = run(tmp_path, "root=sim", "workers=1", *TINY)
+@pytest.mark.slow
+def test_simulates_then_reuses_and_leaves_nothing_else(
+    tmp_path: Path, start: Run, start_process: Run
+) -> None:
+    words = ("root=sim", "workers=1", *TINY)
+    first = start_process("uncal.simulate", *words, cwd=tmp_path)
     assert first.returncode == 0, first.stderr
     assert "1 rigs, 1 drives, 2 frames" in first.stdout
     assert str(tmp_path / "sim") in first.stdout
@@ -47,7 +41,7 @@ def test_simulates_then_reuses_and_leaves_nothing_else(tmp_path: Path) -> None:
     assert json.loads((tmp_path / "sim/simulation.json").read_text())["n_frames"] == 2
     images = list((tmp_path / "sim").glob("2041_01_01/*_sync/image_02/data/*.png"))
     assert len(images) == 2
-    second = run(tmp_path, "root=sim", "workers=1", *TINY)
+    second = start("uncal.simulate", *words, cwd=tmp_path)
     assert second.returncode == 0
     assert "reusing" in second.stdout
 
@@ -75,15 +69,15 @@ def test_errors_are_one_message(
     assert [entry.name for entry in (tmp_path / "mine").iterdir()] == ["thesis.tex"]
 
 
-def test_an_error_ends_without_a_traceback(tmp_path: Path) -> None:
-    failed = run(tmp_path, "simulation.n_rigs=0")
+def test_an_error_ends_without_a_traceback(tmp_path: Path, start: Run) -> None:
+    failed = start("uncal.simulate", "simulation.n_rigs=0", cwd=tmp_path)
     assert failed.returncode == 1
     assert "simulation.n_rigs is 0" in failed.stderr
     assert "Traceback" not in failed.stderr + failed.stdout
 
 
-def test_help_names_every_key(tmp_path: Path) -> None:
-    shown = run(tmp_path, "--help")
+def test_help_names_every_key(tmp_path: Path, start: Run) -> None:
+    shown = start("uncal.simulate", "--help", cwd=tmp_path)
     assert shown.returncode == 0
     loaded = OmegaConf.load(Path(CONFIG_DIR) / "simulation/street.yaml")
     street = cast(dict[str, object], OmegaConf.to_container(loaded))

@@ -2,11 +2,8 @@
 
 import csv
 import math
-import os
-import signal
 import subprocess
-import sys
-import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -18,44 +15,10 @@ from tensorboard.backend.event_processing.event_accumulator import (  # type: ig
 from uncal.geometry import DOF_NAMES
 from uncal.uncertainty.conformal import ConformalCalibrator
 
-pytestmark = pytest.mark.slow
-
-TINY = [
-    "dataset.simulation.n_rigs=10",
-    "dataset.simulation.frames_per_drive=4",
-    "dataset.simulation.camera.supersampling=1",
-    "dataset.simulation.lidar.beams=32",
-    "dataset.loader.batch_size=4",
-    "trainer.max_epochs=2",
-    "trainer.accelerator=cpu",
-    "mcd.passes=4",
-]
-
+Run = Callable[..., "subprocess.CompletedProcess[str]"]
 
 QUANTILE = ["model/backbone=mobilevit_xxs", "model/head=quantile"]
-
-
-def run(module: str, *overrides: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    """Start an entry point in a folder of its own; fails the test if it hangs."""
-    environment = os.environ | {"PYTHONUNBUFFERED": "1", "COLUMNS": "110"}
-    return subprocess.run(
-        [sys.executable, "-m", module, *overrides],
-        cwd=cwd,
-        env=environment,
-        capture_output=True,
-        text=True,
-        timeout=600,
-        check=False,
-    )
-
-
-def heed_interrupts() -> None:
-    """What a shell starts in the background ignores Ctrl-C, and so would what the tests start."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
-
-
-def train(cwd: Path, folder: str, *overrides: str) -> subprocess.CompletedProcess[str]:
-    return run("uncal.train", *TINY, f"hydra.run.dir={folder}", *overrides, cwd=cwd)
+TRAINED = ["trainer.max_epochs=2", "mcd.passes=4"]
 
 
 def rows(path: Path) -> list[dict[str, str]]:
@@ -63,33 +26,22 @@ def rows(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-def test_a_model_without_parameters_is_not_trained(tmp_path: Path) -> None:
-    tiny = [override for override in TINY if not override.startswith("mcd.")]
+def test_a_model_without_parameters_is_not_trained(
+    start: Run, tiny: list[str], make_workplace: Callable[[str], Path]
+) -> None:
+    place = make_workplace("edges")
     options = ["model=edges", "model.search.samples=64", "hydra.run.dir=run"]
-    trained = run("uncal.train", *tiny, *options, cwd=tmp_path)
+    trained = start("uncal.train", *tiny, *options, "trainer.max_epochs=2", cwd=place)
 
     assert trained.returncode == 0, trained.stderr
     assert "No training: this model has no parameters." in trained.stdout
-    checkpoint = tmp_path / "run" / "checkpoints" / "best.ckpt"
+    checkpoint = place / "run" / "checkpoints" / "best.ckpt"
     assert checkpoint.is_file()
-    assert not (tmp_path / "outputs" / "trained").exists()
+    assert not (place / "outputs" / "trained").exists()
 
-    evaluated = run("uncal.evaluate", f"ckpt={checkpoint}", "hydra.run.dir=again", cwd=tmp_path)
+    evaluated = start("uncal.evaluate", f"ckpt={checkpoint}", "hydra.run.dir=again", cwd=place)
 
     assert evaluated.returncode == 0, evaluated.stderr
-
-
-@pytest.fixture(scope="module")
-def workplace(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("runs")
-
-
-@pytest.fixture(scope="module")
-def demo(workplace: Path) -> subprocess.CompletedProcess[str]:
-    """One tiny demo run; the tests below look at what it left."""
-    finished = train(workplace, "first")
-    assert finished.returncode == 0, finished.stderr[-4000:]
-    return finished
 
 
 def test_the_table_has_a_row_per_dof_and_level(demo: object, workplace: Path) -> None:
@@ -139,8 +91,11 @@ def test_the_checkpoint_carries_the_calibrator(demo: object, workplace: Path) ->
     assert int(calibrator.passes) == 4
 
 
-def test_evaluation_of_the_checkpoint_gives_the_same_bytes(demo: object, workplace: Path) -> None:
-    finished = run(
+@pytest.mark.slow
+def test_evaluation_of_the_checkpoint_gives_the_same_bytes(
+    demo: object, workplace: Path, start_process: Run
+) -> None:
+    finished = start_process(
         "uncal.evaluate", "ckpt=first/checkpoints/best.ckpt", "hydra.run.dir=again", cwd=workplace
     )
     assert finished.returncode == 0, finished.stderr[-4000:]
@@ -148,8 +103,8 @@ def test_evaluation_of_the_checkpoint_gives_the_same_bytes(demo: object, workpla
     assert first.read_bytes() == again.read_bytes()
 
 
-def evaluate(cwd: Path, folder: str, *overrides: str) -> list[dict[str, str]]:
-    finished = run(
+def evaluate(start: Run, cwd: Path, folder: str, *overrides: str) -> list[dict[str, str]]:
+    finished = start(
         "uncal.evaluate",
         "ckpt=first/checkpoints/best.ckpt",
         f"hydra.run.dir={folder}",
@@ -161,15 +116,19 @@ def evaluate(cwd: Path, folder: str, *overrides: str) -> list[dict[str, str]]:
     return rows(cwd / folder / "results.csv")
 
 
-def test_two_processes_calibrate_and_test_like_one(demo: object, workplace: Path) -> None:
+@pytest.mark.slow
+def test_two_processes_calibrate_and_test_like_one(
+    demo: object, workplace: Path, start: Run, start_process: Run
+) -> None:
     # Other passes than in training, so that both calibrate anew; 7 test frames, of which Lightning
     # makes 8 for 2 processes.
     asked = (
         *("mcd.passes=6", "interval.levels=[0.5]", "interval=conformal", "split.by=frame"),
         "split.fractions=[0.425,0.2,0.2,0.175]",
     )
-    one = evaluate(workplace, "one", *asked)
-    two = evaluate(workplace, "two", *asked, "trainer.devices=2", "trainer.strategy=ddp")
+    one = evaluate(start, workplace, "one", *asked)
+    processes = ("trainer.devices=2", "trainer.strategy=ddp")
+    two = evaluate(start_process, workplace, "two", *asked, *processes)
     assert {row["n_test"] for row in (*one, *two)} == {"7"}
     assert len(one) == len(two) == len(DOF_NAMES)
     for a, b in zip(one, two, strict=True):
@@ -183,10 +142,10 @@ def test_two_processes_calibrate_and_test_like_one(demo: object, workplace: Path
 
 @pytest.mark.parametrize("interval", ["gaussian", "absolute", "mondrian", "hierarchical"])
 def test_the_same_weights_with_other_intervals(
-    demo: object, workplace: Path, interval: str
+    demo: object, workplace: Path, start: Run, interval: str
 ) -> None:
     before = rows(workplace / "first" / "results.csv")
-    after = evaluate(workplace, interval, f"interval={interval}", "mcd.masks=fixed")
+    after = evaluate(start, workplace, interval, f"interval={interval}", "mcd.masks=fixed")
     assert [row["mae_before"] for row in after] == [row["mae_before"] for row in before]
     finite = {math.isfinite(float(row["mpiw"])) for row in after}
     assert finite == {interval == "gaussian"}
@@ -194,28 +153,28 @@ def test_the_same_weights_with_other_intervals(
     assert f"fixed masks, intervals of kind {interval}" in markdown
 
 
-def test_quantile_regression_needs_its_head(workplace: Path) -> None:
-    finished = train(workplace, "no_head", "interval=cqr")
+def test_quantile_regression_needs_its_head(workplace: Path, start: Run, tiny: list[str]) -> None:
+    finished = start("uncal.train", *tiny, "hydra.run.dir=no_head", "interval=cqr", cwd=workplace)
     assert finished.returncode == 1
     assert "model/head=quantile" in finished.stderr
     assert "Traceback" not in finished.stderr
 
 
-def test_quantile_regression_runs_with_it(demo: object, workplace: Path) -> None:
-    finished = train(workplace, "cqr", "interval=cqr", *QUANTILE)
+def test_quantile_regression_runs_with_it(workplace: Path, start: Run, tiny: list[str]) -> None:
+    words = [*tiny, *TRAINED, "hydra.run.dir=cqr", "interval=cqr", *QUANTILE]
+    finished = start("uncal.train", *words, cwd=workplace)
     assert finished.returncode == 0, finished.stderr[-4000:]
     markdown = (workplace / "cqr" / "results.md").read_text(encoding="utf-8")
     assert "intervals of kind quantile" in markdown
 
 
 def test_a_second_run_reuses_the_simulation_and_a_resumed_one_goes_on(
-    demo: object, workplace: Path
+    demo: object, workplace: Path, start: Run, tiny: list[str]
 ) -> None:
     manifest = workplace / "data" / "demo" / "simulation.json"
     before = manifest.stat().st_mtime_ns
-    finished = train(
-        workplace, "resumed", "ckpt=first/checkpoints/last.ckpt", "trainer.max_epochs=3"
-    )
+    words = ["ckpt=first/checkpoints/last.ckpt", "trainer.max_epochs=3", "mcd.passes=4"]
+    finished = start("uncal.train", *tiny, *words, "hydra.run.dir=resumed", cwd=workplace)
     assert finished.returncode == 0, finished.stderr[-4000:]
     assert manifest.stat().st_mtime_ns == before
     state = torch.load(workplace / "resumed" / "checkpoints" / "last.ckpt", weights_only=True)
@@ -225,54 +184,50 @@ def test_a_second_run_reuses_the_simulation_and_a_resumed_one_goes_on(
     assert state["global_step"] == 3 * steps_per_epoch
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_says_how_to_go_on_and_its_checkpoint_loads(
-    demo: object, workplace: Path
+    workplace: Path, interrupt: Run, tiny: list[str]
 ) -> None:
     last = workplace / "stopped" / "checkpoints" / "last.ckpt"
-    command = [sys.executable, "-m", "uncal.train", *TINY, "hydra.run.dir=stopped"]
-    started = subprocess.Popen(
-        [*command, "trainer.max_epochs=400"],
-        cwd=workplace,
-        stderr=subprocess.PIPE,
-        text=True,
-        preexec_fn=heed_interrupts,
-    )
-    deadline = time.monotonic() + 300
-    while not last.exists() and started.poll() is None and time.monotonic() < deadline:
-        time.sleep(0.2)
-    started.send_signal(signal.SIGINT)
-    _, stderr = started.communicate(timeout=120)
-    assert started.returncode != 0
-    assert "interrupted" in stderr
-    assert "stopped/checkpoints/last.ckpt" in stderr
+    words = [*tiny, "mcd.passes=4", "hydra.run.dir=stopped", "trainer.max_epochs=400"]
+    stopped = interrupt("uncal.train", *words, cwd=workplace, after=last)
+    assert stopped.returncode != 0
+    assert "interrupted" in stopped.stderr
+    assert "stopped/checkpoints/last.ckpt" in stopped.stderr
     assert torch.load(last, weights_only=True)["epoch"] >= 0
 
 
 @pytest.mark.parametrize("key", ["mcd.passs=5", "dataset.rot=data", "trainer.max_epoch=1"])
-def test_a_misspelt_key_is_named(workplace: Path, key: str) -> None:
-    finished = run("uncal.train", key, cwd=workplace)
+def test_a_misspelt_key_is_named(tmp_path: Path, start: Run, key: str) -> None:
+    finished = start("uncal.train", key, cwd=tmp_path)
     assert finished.returncode != 0
     assert key.split("=")[0].split(".")[-1] in finished.stderr
 
 
-def test_a_wrong_root_says_what_was_expected_and_where_to_get_it(workplace: Path) -> None:
-    finished = run("uncal.train", "dataset=kitti", "dataset.root=nowhere", cwd=workplace)
+@pytest.mark.slow
+def test_a_wrong_root_says_what_was_expected_and_where_to_get_it(
+    tmp_path: Path, start_process: Run
+) -> None:
+    finished = start_process("uncal.train", "dataset=kitti", "dataset.root=nowhere", cwd=tmp_path)
     assert finished.returncode == 1
     assert "nowhere" in finished.stderr
     assert "cvlibs.net" in finished.stderr
     assert "Traceback" not in finished.stderr
 
 
-def test_a_missing_checkpoint_is_one_sentence(workplace: Path) -> None:
-    finished = run("uncal.evaluate", "ckpt=nowhere.ckpt", cwd=workplace)
+def test_a_missing_checkpoint_is_one_sentence(tmp_path: Path, start: Run) -> None:
+    finished = start("uncal.evaluate", "ckpt=nowhere.ckpt", cwd=tmp_path)
     assert finished.returncode == 1
     assert "nowhere.ckpt" in finished.stderr
     assert "Traceback" not in finished.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.kitti
-def test_real_frames_run_to_their_table(kitti_root: Path, workplace: Path) -> None:
-    finished = run(
+def test_real_frames_run_to_their_table(
+    kitti_root: Path, workplace: Path, start_process: Run
+) -> None:
+    finished = start_process(
         "uncal.train",
         "dataset=kitti",
         f"dataset.root={kitti_root}",

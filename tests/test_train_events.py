@@ -2,9 +2,8 @@
 
 import csv
 import math
-import os
 import subprocess
-import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -12,7 +11,7 @@ import pytest
 
 from uncal.geometry import DOF_NAMES
 
-pytestmark = pytest.mark.slow
+Run = Callable[..., "subprocess.CompletedProcess[str]"]
 
 SIMULATION = [
     "n_rigs=10",
@@ -20,21 +19,8 @@ SIMULATION = [
     "events.subframes=4",
     "lidar.azimuth_step_deg=0.4",
 ]
-TINY = ["dataset.loader.batch_size=4", "trainer.max_epochs=2", "trainer.accelerator=cpu"]
-TINY += ["mcd.passes=4"]
-
-
-def run(module: str, *overrides: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    """Start an entry point in a folder of its own; fails the test if it hangs."""
-    return subprocess.run(
-        [sys.executable, "-m", module, *overrides],
-        cwd=cwd,
-        env=os.environ | {"PYTHONUNBUFFERED": "1", "COLUMNS": "110"},
-        capture_output=True,
-        text=True,
-        timeout=600,
-        check=False,
-    )
+TRAINED = ["dataset.loader.batch_size=4", "trainer.max_epochs=2", "trainer.accelerator=cpu"]
+TRAINED += ["mcd.passes=4"]
 
 
 def finished(process: subprocess.CompletedProcess[str]) -> str:
@@ -60,11 +46,11 @@ def workplace(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def demo(workplace: Path) -> str:
+def demo(workplace: Path, start: Run) -> str:
     """One tiny run of the event demo; the tests below look at what it left."""
     settings = [f"dataset.simulation.{setting}" for setting in SIMULATION]
-    command = ["dataset=demo_events", *settings, *TINY, "hydra.run.dir=first"]
-    return finished(run("uncal.train", *command, cwd=workplace))
+    command = ["dataset=demo_events", *settings, *TRAINED, "hydra.run.dir=first"]
+    return finished(start("uncal.train", *command, cwd=workplace))
 
 
 def test_the_demo_ends_in_the_papers_table(demo: str, workplace: Path) -> None:
@@ -93,17 +79,17 @@ def test_overlays_show_events_of_both_signs(demo: str, workplace: Path) -> None:
         assert (pale & (picture[..., 0] - picture[..., 2] > 40)).any()
 
 
-def test_the_checkpoint_can_be_asked_again(demo: str, workplace: Path) -> None:
+def test_the_checkpoint_can_be_asked_again(demo: str, workplace: Path, start: Run) -> None:
     command = ["ckpt=first/checkpoints/best.ckpt", "hydra.run.dir=again"]
-    finished(run("uncal.evaluate", *command, cwd=workplace))
+    finished(start("uncal.evaluate", *command, cwd=workplace))
     first, again = (workplace / name / "results.csv" for name in ("first", "again"))
     assert first.read_bytes() == again.read_bytes()
 
 
-def test_a_stand_in_for_dsec_runs_from_simulation_to_table(workplace: Path) -> None:
+def test_a_stand_in_for_dsec_runs_from_simulation_to_table(workplace: Path, start: Run) -> None:
     settings = [f"simulation.{setting}" for setting in SIMULATION]
     simulate = ["simulation=event_street", "root=standin", "simulation.drives_per_rig=2", *settings]
-    finished(run("uncal.simulate", *simulate, "simulation.n_rigs=4", cwd=workplace))
+    finished(start("uncal.simulate", *simulate, "simulation.n_rigs=4", cwd=workplace))
     command = [
         "dataset=dsec",
         "dataset.root=standin",
@@ -113,7 +99,7 @@ def test_a_stand_in_for_dsec_runs_from_simulation_to_table(workplace: Path) -> N
         "model/head=mlp",
         "hydra.run.dir=dsec",
     ]
-    output = finished(run("uncal.train", *command, *TINY, cwd=workplace))
+    output = finished(start("uncal.train", *command, *TRAINED, cwd=workplace))
     assert {row["n_test"] for row in rows(workplace / "dsec" / "results.csv")} == {"8"}
     markdown = (workplace / "dsec" / "results.md").read_text(encoding="utf-8")
     for text in (" ".join(output.split()), markdown):
@@ -122,8 +108,8 @@ def test_a_stand_in_for_dsec_runs_from_simulation_to_table(workplace: Path) -> N
         assert "simulated (a stand-in for DSEC)" in text
 
 
-def test_without_data_it_says_where_to_get_them_or_a_stand_in(workplace: Path) -> None:
-    message = refused(run("uncal.train", "dataset=dsec", cwd=workplace))
+def test_without_data_it_says_where_to_get_them_or_a_stand_in(workplace: Path, start: Run) -> None:
+    message = refused(start("uncal.train", "dataset=dsec", cwd=workplace))
     assert "data/dsec does not exist" in message
     assert "https://dsec.ifi.uzh.ch" in message
     assert "\n  python -m uncal.simulate simulation=event_street root=" in message
@@ -137,9 +123,9 @@ def test_without_data_it_says_where_to_get_them_or_a_stand_in(workplace: Path) -
     ],
 )
 def test_a_model_that_cannot_read_the_data_is_one_sentence(
-    workplace: Path, choices: list[str], remedy: str
+    workplace: Path, start: Run, choices: list[str], remedy: str
 ) -> None:
-    message = refused(run("uncal.train", *choices, "dataset.root=unmade", cwd=workplace))
+    message = refused(start("uncal.train", *choices, "dataset.root=unmade", cwd=workplace))
     assert len(message.strip().splitlines()) == 1
     assert remedy in message
     assert not (workplace / "unmade").exists()

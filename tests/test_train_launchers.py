@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import csv
-import os
 import subprocess
-import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -14,35 +13,9 @@ from uncal.geometry import DOF_NAMES
 
 pytestmark = pytest.mark.slow
 
-TINY = [
-    "dataset.simulation.n_rigs=10",
-    "dataset.simulation.frames_per_drive=4",
-    "dataset.simulation.camera.supersampling=1",
-    "dataset.simulation.lidar.beams=32",
-    "dataset.loader.batch_size=4",
-    "trainer.max_epochs=1",
-    "trainer.accelerator=cpu",
-    "interval.levels=[0.5]",
-    "callbacks.overlays=null",
-    "callbacks.figures=null",
-    "callbacks.interval_overlays=null",
-]
+Run = Callable[..., "subprocess.CompletedProcess[str]"]
 
 SWEPT = ("-m", "mcd.passes=2,0,3")
-
-
-def multirun(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    environment = os.environ | {"COLUMNS": "110"}
-    environment.pop("OMP_NUM_THREADS", None)  # so that the multirun shares the cores itself
-    return subprocess.run(
-        [sys.executable, "-m", "uncal.train", *SWEPT, *TINY, *arguments, "hydra.sweep.dir=many"],
-        cwd=folder,
-        env=environment,
-        capture_output=True,
-        text=True,
-        timeout=600,
-        check=False,
-    )
 
 
 @pytest.mark.parametrize(
@@ -50,8 +23,17 @@ def multirun(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     [("hydra/launcher=joblib", "hydra.launcher.n_jobs=2"), ("hydra/launcher=submitit_local",)],
     ids=["joblib", "submitit_local"],
 )
-def test_parallel_jobs_end_as_those_in_turn_do(launcher: tuple[str, ...], tmp_path: Path) -> None:
-    finished = multirun(tmp_path, *launcher)
+def test_parallel_jobs_end_as_those_in_turn_do(
+    launcher: tuple[str, ...],
+    start_process: Run,
+    tiny: list[str],
+    quick: list[str],
+    tmp_path: Path,
+) -> None:
+    # An empty folder: jobs simulate too, in processes that a launcher has started.
+    words = [*SWEPT, *tiny, *quick, *launcher, "hydra.sweep.dir=many"]
+    # Without it, so that the multirun shares the cores itself.
+    finished = start_process("uncal.train", *words, cwd=tmp_path, without="OMP_NUM_THREADS")
     assert finished.returncode == 1, finished.stderr[-4000:]
     assert "mcd.passes=0: expected a whole number from 1" in finished.stderr
     assert "thread(s) per job" in finished.stdout

@@ -1,50 +1,37 @@
 """Weights are trained once, found again, and go on where their training was interrupted."""
 
 import json
-import os
-import signal
 import subprocess
-import sys
-import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-pytestmark = pytest.mark.slow
-
-TINY = [
-    "dataset.simulation.n_rigs=10",
-    "dataset.simulation.frames_per_drive=4",
-    "dataset.simulation.camera.supersampling=1",
-    "dataset.simulation.lidar.beams=32",
-    "dataset.loader.batch_size=4",
-    "dataset.validations=3",
-    "trainer.max_epochs=3",
-    "trainer.accelerator=cpu",
-    "interval.levels=[0.5]",
-    "callbacks.overlays=null",
-    "callbacks.figures=null",
-    "callbacks.interval_overlays=null",
-]
+Run = Callable[..., "subprocess.CompletedProcess[str]"]
+Train = Callable[..., str]
 
 
-def command(*overrides: str) -> list[str]:
-    return [sys.executable, "-m", "uncal.train", *overrides, *TINY]
+@pytest.fixture(scope="module")
+def words(tiny: list[str], quick: list[str]) -> list[str]:
+    return [*tiny, *quick, "dataset.validations=3", "trainer.max_epochs=3"]
 
 
-def heed_interrupts() -> None:
-    """What a shell starts in the background ignores Ctrl-C, and so would what the tests start."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
+@pytest.fixture(scope="module")
+def workplace(make_workplace: Callable[[str], Path]) -> Path:
+    return make_workplace("once")
 
 
-def train(cwd: Path, *overrides: str) -> str:
+@pytest.fixture(scope="module")
+def train(workplace: Path, start: Run, words: list[str]) -> Train:
     """Everything that a run says; fails the test if the run fails."""
-    done = subprocess.run(
-        command(*overrides), cwd=cwd, capture_output=True, text=True, timeout=600, check=False
-    )
-    assert done.returncode == 0, done.stderr[-4000:]
-    return done.stdout + done.stderr
+
+    def train(*overrides: str, start: Run = start) -> str:
+        done = start("uncal.train", *overrides, *words, cwd=workplace)
+        assert done.returncode == 0, done.stderr[-4000:]
+        return done.stdout + done.stderr
+
+    return train
 
 
 def record(folder: Path) -> dict[str, Any]:
@@ -53,13 +40,8 @@ def record(folder: Path) -> dict[str, Any]:
 
 
 @pytest.fixture(scope="module")
-def workplace(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("once")
-
-
-@pytest.fixture(scope="module")
-def swept(workplace: Path) -> str:
-    return train(workplace, "-m", "mcd.passes=4,2", "hydra.sweep.dir=many")
+def swept(train: Train) -> str:
+    return train("-m", "mcd.passes=4,2", "hydra.sweep.dir=many")
 
 
 def test_other_passes_are_asked_of_the_same_weights(swept: str, workplace: Path) -> None:
@@ -73,33 +55,34 @@ def test_other_passes_are_asked_of_the_same_weights(swept: str, workplace: Path)
     assert "1 of 2 jobs trained" in (workplace / "many" / "summary.md").read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_the_reused_weights_give_what_their_own_training_would_have(
-    swept: str, workplace: Path
+    swept: str, workplace: Path, train: Train, start_process: Run
 ) -> None:
-    train(workplace, "mcd.passes=2", "store=null", "hydra.run.dir=alone")
+    train("mcd.passes=2", "store=null", "hydra.run.dir=alone", start=start_process)
     assert record(workplace / "alone")["weights"]["reused"] is False
     alone = (workplace / "alone" / "results.csv").read_bytes()
     assert (workplace / "many" / "1" / "results.csv").read_bytes() == alone
 
 
 def test_the_checkpoint_of_a_run_that_reused_weights_is_its_own(
-    swept: str, workplace: Path
+    swept: str, workplace: Path, start: Run
 ) -> None:
-    checkpoint = "ckpt=many/1/checkpoints/best.ckpt"
-    evaluate = [sys.executable, "-m", "uncal.evaluate", checkpoint, "hydra.run.dir=evaluated"]
-    evaluate += [key for key in TINY if key.startswith("callbacks") and "overlays=" not in key]
-    done = subprocess.run(evaluate, cwd=workplace, capture_output=True, text=True, check=False)
+    evaluate = ["ckpt=many/1/checkpoints/best.ckpt", "hydra.run.dir=evaluated"]
+    done = start("uncal.evaluate", *evaluate, "callbacks.figures=null", cwd=workplace)
     assert done.returncode == 0, done.stderr[-4000:]
     assert "calibrating anew" not in done.stderr
     own = (workplace / "many" / "1" / "results.csv").read_bytes()
     assert (workplace / "evaluated" / "results.csv").read_bytes() == own
 
 
-def test_a_multirun_started_again_keeps_what_is_finished(swept: str, workplace: Path) -> None:
+def test_a_multirun_started_again_keeps_what_is_finished(
+    swept: str, workplace: Path, train: Train
+) -> None:
     folder = workplace / "many"
     times = [(folder / job / "results.csv").stat().st_mtime_ns for job in "01"]
     (folder / "1" / "run.json").unlink()  # as if it had been interrupted before its end
-    said = train(workplace, "-m", "mcd.passes=4,2", "hydra.sweep.dir=many")
+    said = train("-m", "mcd.passes=4,2", "hydra.sweep.dir=many")
     assert said.count("kept as it is") == 1
     after = [(folder / job / "results.csv").stat().st_mtime_ns for job in "01"]
     assert after[0] == times[0]
@@ -107,8 +90,8 @@ def test_a_multirun_started_again_keeps_what_is_finished(swept: str, workplace: 
     assert record(folder / "1")["weights"]["reused"] is True
 
 
-def test_retraining_is_forced(swept: str, workplace: Path) -> None:
-    train(workplace, "mcd.passes=4", "retrain=true", "hydra.run.dir=forced")
+def test_retraining_is_forced(swept: str, workplace: Path, train: Train) -> None:
+    train("mcd.passes=4", "retrain=true", "hydra.run.dir=forced")
     content = record(workplace / "forced")
     assert content["weights"]["reused"] is False
     assert content["passes"]["test"] == "computed"
@@ -116,29 +99,18 @@ def test_retraining_is_forced(swept: str, workplace: Path) -> None:
     assert (workplace / "forced" / "results.csv").read_bytes() == first
 
 
+@pytest.mark.slow
 def test_an_interrupted_training_goes_on_and_ends_with_the_same_weights(
-    swept: str, workplace: Path
+    swept: str, workplace: Path, train: Train, interrupt: Run, words: list[str]
 ) -> None:
-    other = "store=another"
+    other = ("mcd.passes=4", "store=another")
     last = workplace / "stopped" / "checkpoints" / "last.ckpt"
-    started = subprocess.Popen(
-        command("mcd.passes=4", other, "hydra.run.dir=stopped"),
-        cwd=workplace,
-        env=os.environ | {"PYTHONUNBUFFERED": "1"},
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        text=True,
-        preexec_fn=heed_interrupts,
-    )
-    deadline = time.monotonic() + 300
-    while not last.exists() and started.poll() is None and time.monotonic() < deadline:
-        time.sleep(0.05)
-    started.send_signal(signal.SIGINT)
-    _, stderr = started.communicate(timeout=120)
-    assert started.returncode != 0, stderr
-    assert "go on after the last finished epoch with the same command" in stderr
+    command = [*words, *other, "hydra.run.dir=stopped"]
+    stopped = interrupt("uncal.train", *command, cwd=workplace, after=last)
+    assert stopped.returncode != 0, stopped.stderr
+    assert "go on after the last finished epoch with the same command" in stopped.stderr
 
-    said = train(workplace, "mcd.passes=4", other, "hydra.run.dir=resumed")
+    said = train(*other, "hydra.run.dir=resumed")
     assert "going on with the interrupted training" in said
     assert record(workplace / "resumed")["weights"]["reused"] is False
     uninterrupted = (workplace / "many" / "0" / "results.csv").read_bytes()
