@@ -138,7 +138,7 @@ class IntervalCalibrator(CalibratorState):
         """() q of the joint score max_j s_j / scale_j; (n,) by group; else as :meth:`quantile`.
 
         Raises:
-            NotCalibratedError: before :meth:`fit` or a load, or from a state without joint scores.
+            NotCalibratedError: before :meth:`fit` or a load.
             UncertaintyError: a level outside (0, 1), or no groups where they are needed.
         """
         return self._pick(self._alpha(level), joint=True, groups=groups)[..., 0]
@@ -191,7 +191,7 @@ class IntervalCalibrator(CalibratorState):
                 output at level 1 - α/D, which is wider and needs D times the samples.
 
         Raises:
-            NotCalibratedError: before :meth:`fit` or a load, or from a state without joint scores.
+            NotCalibratedError: before :meth:`fit` or a load.
             UncertaintyError: as for :meth:`predict`.
             ConfigurationError: another method.
         """
@@ -231,11 +231,6 @@ class IntervalCalibrator(CalibratorState):
 
     def _table(self, *, joint: bool) -> Tensor:
         """(m, D) sorted scores per output, or (m, 1) of the joint score."""
-        if joint and len(self.joint_scores) == 0:
-            raise NotCalibratedError(
-                "The loaded state was saved before joint scores were kept: fit the calibrator "
-                'again, or ask for the box with method="bonferroni".'
-            )
         return self.joint_scores[:, None] if joint else self.scores
 
     def _widen(
