@@ -40,10 +40,9 @@ def main(config: DictConfig) -> float:
     import lightning
 
     from uncal.assembly import build_data, build_module, build_trainer, say_simulated
-    from uncal.callbacks.report import Report
-    from uncal.checkpoint import check_start, load_weights, read_recipe, save_weights, start_from
+    from uncal.checkpoint import check_start, read_recipe, start_from
     from uncal.memory import keep_freed_memory
-    from uncal.runs import finished_earlier, keep_results, make_record, remember_passes
+    from uncal.runs import finished_earlier, make_record, weights_to_report
     from uncal.settings.check import check_settings
     from uncal.weights.ingredients import data_ingredients, training_ingredients
     from uncal.weights.kept import stays_trained
@@ -89,20 +88,17 @@ def main(config: DictConfig) -> float:
             retrain=config.retrain,
         )
     with stays_trained(weights.path):
-        if weights.learnt:
-            load_weights(
-                module, weights.path, calibrated=read_recipe(weights.path) == module.recipe
-            )
-        module.provenance.append(weights.sentence())
-        remember_passes(config, module, trainer, shared)
-
-        trainer.test(module, datamodule=data, verbose=False)
-        if trainer.is_global_zero:
-            own = job_folder() / "checkpoints" / weights.path.name
-            if not weights.learnt or not own.is_file() or not own.samefile(weights.path):
-                save_weights(module, own)
-            keep_results(record, trainer, module, weights)
-    return Report.of(trainer).results.summary.mean_ratio
+        return weights_to_report(
+            config,
+            module,
+            trainer,
+            data,
+            weights,
+            record,
+            calibrated=weights.learnt and read_recipe(weights.path) == module.recipe,
+            checkpoint=weights.path.name,
+            shared=shared,
+        )
 
 
 def untrained(start: str | None) -> Weights:

@@ -52,9 +52,9 @@ class IntervalOverlays(lightning.Callback):
         data = getattr(trainer, "datamodule", None)
         if not trainer.is_global_zero or not isinstance(data, CalibrationDataModule):
             return
-        if not isinstance(pl_module, CalibrationModule) or pl_module.tested is None:
+        if not isinstance(pl_module, CalibrationModule) or pl_module.run.tested is None:
             return
-        tested = pl_module.tested
+        tested = pl_module.run.tested
         intervals = pl_module.calibrator.predict(
             tested.mean,
             tested.std,

@@ -63,10 +63,11 @@ class UncertaintyCalibration(lightning.Callback):
     def on_test_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Log PICP, MPIW and IS of the test split per DoF and level."""
         module, data = _ours(trainer, pl_module)
-        if module.tested is None:
+        tested = module.run.tested
+        if tested is None:
             return
         for level in self.levels:
-            metrics = interval_metrics(module, module.tested, data.named("test"), level)
+            metrics = interval_metrics(module, tested, data.named("test"), level)
             values = {f"test {name}": value.item() for name, value in metrics.items()}
             for logger in trainer.loggers:
                 logger.log_metrics(values, trainer.global_step)

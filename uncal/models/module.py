@@ -21,6 +21,7 @@ from uncal.models.losses import relative_error
 from uncal.models.prediction import SplitPrediction, frame_seed, join_predictions, pass_names
 from uncal.models.schedule import follow
 from uncal.recordings.frame import FrameId
+from uncal.run_state import RunState
 from uncal.uncertainty.calibrator import IntervalCalibrator
 from uncal.uncertainty.dropout import only_active
 from uncal.uncertainty.ellipsoid import EllipsoidCalibrator
@@ -76,9 +77,8 @@ class CalibrationModule(lightning.LightningModule):
         self.groups = groups
         self.mask_seed = mask_seed
         self.memory: PassMemory | None = None
-        self.provenance: list[str] = []
         self.recipe: dict[str, object] = {}
-        self.tested: SplitPrediction | None = None
+        self.run = RunState()
         self._tested: list[SplitPrediction] = []
         self._validation: list[tuple[Tensor, Tensor, Tensor]] = []
 
@@ -209,8 +209,8 @@ class CalibrationModule(lightning.LightningModule):
         self._tested.append(self.stochastic(batch, "test"))
 
     def on_test_epoch_end(self) -> None:
-        """Put the predictions together as ``tested``."""
-        self.tested = join_predictions(self._tested, "test")
+        """Put the predictions together as ``run.tested``."""
+        self.run.tested = join_predictions(self._tested, "test")
         self._tested.clear()
 
     def on_save_checkpoint(self, checkpoint: dict[str, object]) -> None:
