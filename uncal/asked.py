@@ -40,7 +40,7 @@ def with_settings_of(
     other_data = "dataset" in groups
     with open_dict(run):
         for name in kept:
-            if name in groups or (name == "split" and other_data) or name not in recipe:
+            if name in groups or (name == "split" and other_data):
                 continue
             run[name] = recipe[name]
         for key in keys:

@@ -88,7 +88,7 @@ def pick_device(name: str) -> torch.device:
     """
     import torch
 
-    from uncal.assembly import choice
+    from uncal.inference_settings import choice
 
     choice("device", name, ("auto", "cpu", "cuda"))
     if name == "cuda" and not torch.cuda.is_available():

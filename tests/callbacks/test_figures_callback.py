@@ -59,9 +59,8 @@ def test_figures_become_files_and_go_to_tensorboard_only(run: Path) -> None:
 
 
 def test_other_processes_draw_nothing(run: Path) -> None:
-    Figures(str(run), "simulated").teardown(
-        trainer(zero=False), lightning.LightningModule(), "test"
-    )
+    other = trainer(zero=False)
+    Figures(str(run), "simulated").teardown(other, lightning.LightningModule(), "test")
     assert not (run / "figures").exists()
 
 

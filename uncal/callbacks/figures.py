@@ -20,7 +20,7 @@ log = logging.getLogger(__name__)
 
 
 class Figures(lightning.Callback):
-    """Draws all figures of a run after its test, from the files that ``report`` wrote when it ended.
+    """Draws all figures of a run after its test, from the files of ``report``.
 
     Args:
         folder: the run's folder; the figures go to ``figures`` in it.

@@ -58,6 +58,9 @@ class QuantileHead(nn.Module):
         dropout: rate before each linear layer.
     """
 
+    gives_quantiles = True
+    """What ``interval=cqr`` looks for; a head of your own says the same."""
+
     def __init__(self, in_channels: Sequence[int], hidden: Sequence[int], dropout: float) -> None:
         super().__init__()
         self.pose, self.below, self.above = (
