@@ -24,12 +24,6 @@ def with_settings_of(
     next to nothing for the training that they do not do, and their images are brought to the focal
     length that the weights know.
 
-    Args:
-        config: as composed from the command line.
-        recipe: what the weights were trained with.
-        overrides: of the command line, as words.
-        kept: top-level keys of the recipe.
-
     Returns:
         The configuration of the evaluation.
     """
@@ -60,11 +54,7 @@ def with_settings_of(
 
 
 def focal_of(recipe: DictConfig) -> float | None:
-    """Focal length of the images that weights were trained on, pixels; None if it is not known.
-
-    Args:
-        recipe: what the weights were trained with.
-    """
+    """Focal length of the images that weights were trained on, pixels; None if it is not known."""
     known = recipe.dataset.get("focal_px")
     if known is None:
         known = OmegaConf.select(recipe, "dataset.simulation.camera.focal_px")

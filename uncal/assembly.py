@@ -47,12 +47,6 @@ RECIPE = (
 def build_data(config: DictConfig) -> CalibrationDataModule:
     """Find the recording (simulate it first if it is a simulated one) and split it.
 
-    Args:
-        config: the run's configuration.
-
-    Returns:
-        The data module.
-
     Raises:
         UncalError: the recording or a setting cannot be used; the message says which and why.
     """
@@ -122,11 +116,7 @@ def recorded_size(recording: Recording, focal_px: float | None) -> tuple[int, in
 
 
 def say_simulated(config: DictConfig) -> None:
-    """Put "simulated" into the label of a simulation that stands in for real recordings.
-
-    Args:
-        config: the run's configuration; changed in place.
-    """
+    """Put "simulated" into the label of a simulation that stands in for real recordings."""
     dataset = config.dataset
     if (Path(dataset.root) / MANIFEST_NAME).is_file() and "simulated" not in dataset.label:
         dataset.label = f"simulated (a stand-in for {dataset.label})"
@@ -135,10 +125,6 @@ def say_simulated(config: DictConfig) -> None:
 
 def check_pairing(config: DictConfig, inputs: InputSettings) -> None:
     """Make sure that the dataset has what the model reads.
-
-    Args:
-        config: the run's configuration.
-        inputs: the model's.
 
     Raises:
         ConfigurationError: it has not.
@@ -156,9 +142,6 @@ def check_pairing(config: DictConfig, inputs: InputSettings) -> None:
 @names_the_setting("model", "mcd", "interval")
 def build_module(config: DictConfig) -> CalibrationModule:
     """Make the network and the LightningModule around it, untrained.
-
-    Args:
-        config: the run's configuration.
 
     Returns:
         The module; its ``recipe`` goes into every checkpoint.
@@ -245,12 +228,6 @@ def build_trainer(config: DictConfig) -> lightning.Trainer:
     """Make the trainer with the configured callbacks and loggers.
 
     Validations are spread evenly and always include the last epoch.
-
-    Args:
-        config: the run's configuration.
-
-    Returns:
-        The trainer.
     """
     epochs = config.trainer.max_epochs
     every = validation_interval(epochs, config.dataset.validations)
@@ -272,10 +249,6 @@ def build_trainer(config: DictConfig) -> lightning.Trainer:
 def validation_interval(epochs: int, validations: int) -> int:
     """Smallest interval that divides the epochs and makes no more validations than asked for.
 
-    Args:
-        epochs: epochs of the training.
-        validations: how many validations at most.
-
     Returns:
         Epochs from one validation to the next.
 
@@ -295,9 +268,6 @@ def validation_interval(epochs: int, validations: int) -> int:
 
 def image_size(value: object) -> tuple[int, int]:
     """Check a configured image size.
-
-    Args:
-        value: what the configuration says.
 
     Returns:
         (H, W) in pixels.

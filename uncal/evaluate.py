@@ -24,9 +24,6 @@ CALIBRATION: tuple[str, ...] = ("interval", "mcd", "window", "split", "decalibra
 def main(config: DictConfig) -> float:
     """Test weights with the settings that they were trained with, or as asked.
 
-    Args:
-        config: conf/evaluate.yaml with the command line's overrides.
-
     Returns:
         Mean over the DoF of mean absolute error / mean absolute decalibration.
     """
@@ -85,10 +82,6 @@ def main(config: DictConfig) -> float:
 
 def chosen_weights(weights: str | None, ckpt: str | None) -> Path:
     """The file that the user means.
-
-    Args:
-        weights: name or path of shipped weights.
-        ckpt: path of a checkpoint.
 
     Raises:
         ConfigurationError: none, both, or no such file.

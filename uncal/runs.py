@@ -30,15 +30,7 @@ def make_record(
     trainer: lightning.Trainer,
     weights: Mapping[str, object],
 ) -> RunRecord:
-    """The record of a run that begins.
-
-    Args:
-        entry_point: such as uncal.train.
-        config: the run's configuration.
-        module: its network; has the settings that results depend on.
-        trainer: its trainer.
-        weights: what decides the weights.
-    """
+    """The record of a run that begins."""
     decisive = {
         "weights": dict(weights),
         "settings": module.recipe,
@@ -58,10 +50,6 @@ def make_record(
 
 def finished_earlier(record: RunRecord, retrain: bool) -> float | None:
     """What a job of a multirun returned when it ran before, if nothing has changed since.
-
-    Args:
-        record: of the job.
-        retrain: whether to run it anyway.
 
     Returns:
         The mean ratio; None if the job must run.
@@ -86,17 +74,6 @@ def weights_to_report(
     shared: Mapping[str, object] | None = None,
 ) -> float:
     """The way that every run goes from weights to tables: load, calibrate, test, report, record.
-
-    Args:
-        config: the run's configuration.
-        module: the network that the weights belong to.
-        trainer: with the callbacks that calibrate and report.
-        data: the recordings, split.
-        weights: just trained, found again, or given.
-        record: begun with the run.
-        calibrated: whether the calibrator that lies with the weights is to be used.
-        checkpoint: name of the run's own checkpoint.
-        shared: :func:`data_ingredients`; None to look at the files now, if they are needed.
 
     Returns:
         Mean over the DoF of mean absolute error / mean absolute decalibration.

@@ -29,9 +29,6 @@ log = logging.getLogger(__name__)
 def main(config: DictConfig) -> float:
     """One run, from recordings to the paper's table.
 
-    Args:
-        config: conf/train.yaml with its groups and the command line's overrides.
-
     Returns:
         Mean over the DoF of mean absolute error / mean absolute decalibration on the test split;
         a sweeper minimises it.
@@ -106,9 +103,6 @@ def untrained(start: str | None) -> Weights:
 
     Its checkpoint is written after the test, with the calibrator, for :mod:`uncal.evaluate`.
 
-    Args:
-        start: a checkpoint to go on from, which makes no sense here.
-
     Raises:
         ConfigurationError: there is one.
     """
@@ -132,13 +126,6 @@ def fit(
     continuation: str,
 ) -> Path:
     """Train, from nothing or from a checkpoint.
-
-    Args:
-        trainer: with the callbacks that keep checkpoints.
-        module: the network.
-        data: the recordings.
-        start: a checkpoint to go on from.
-        continuation: how a user goes on with an interrupted training, for the message.
 
     Returns:
         The checkpoint that validated best.
@@ -177,12 +164,6 @@ def fit_or_resume(
     start: Path | None,
 ) -> Path:
     """Train, or go on with an interrupted training in the folder that has its checkpoints.
-
-    Args:
-        trainer: with the callbacks that keep checkpoints.
-        module: the network.
-        data: the recordings.
-        start: the last checkpoint of an interrupted training.
 
     Returns:
         The checkpoint that validated best, before or after the interruption.

@@ -62,12 +62,6 @@ def measure_trade(
 ) -> tuple[list[TradeRow], str]:
     """Calibrate and test the same weights with dropout in fewer and fewer layers.
 
-    Args:
-        ckpt: a checkpoint of ``uncal.train``, trained with dropout in all of them.
-        data_root: where the recordings are now, or None.
-        rounds: of the timing.
-        device: where to run.
-
     Returns:
         Rows by placement and level, and what the data are.
 

@@ -33,10 +33,6 @@ class SettingsWithResults(lightning.Callback):
 def flat(settings: Mapping[str, object], path: str = "") -> Iterator[tuple[str, Scalar]]:
     """Settings by dotted key; what is neither text nor number as text.
 
-    Args:
-        settings: nested.
-        path: of the group they are in.
-
     >>> dict(flat({"mcd": {"passes": 25, "layers": None}, "levels": [0.9, 0.95]}))
     {'mcd.passes': 25, 'mcd.layers': 'None', 'levels': '[0.9, 0.95]'}
     """

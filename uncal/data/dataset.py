@@ -87,10 +87,6 @@ class Batch(NamedTuple):
     def to(self, device: torch.device | str, non_blocking: bool = False) -> Batch:
         """Move the tensors; Lightning calls it for every batch.
 
-        Args:
-            device: where to.
-            non_blocking: do not wait for the copies.
-
         Returns:
             The batch on that device.
         """

@@ -60,11 +60,6 @@ def cap_training(training: Sequence[FrameId], n: int, seed: int) -> list[FrameId
     The choice depends neither on the order of the frames nor on a random generator's version, and a
     smaller one is part of every larger one.
 
-    Args:
-        training: the frames to choose from.
-        n: how many.
-        seed: another seed, another choice.
-
     Returns:
         The chosen frames by name.
 

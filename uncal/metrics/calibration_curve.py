@@ -103,9 +103,6 @@ def covered_per_level(lower: Tensor, upper: Tensor, target: Tensor) -> Tensor:
 def check_levels(levels: Sequence[float]) -> None:
     """Refuse levels that a curve cannot have.
 
-    Args:
-        levels: coverage levels.
-
     Raises:
         ValueError: none, or one outside (0, 1).
     """

@@ -60,10 +60,6 @@ def control_order(frames: Sequence[FrameId], seed: int) -> list[int]:
     A frame gets the image of the one before it. In the order of time that would be its neighbour,
     which shows nearly the same.
 
-    Args:
-        frames: of the split.
-        seed: the run's.
-
     >>> control_order([FrameId("rig", "drive", i) for i in range(6)], seed=0)
     [2, 1, 4, 0, 5, 3]
     """

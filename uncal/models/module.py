@@ -90,9 +90,6 @@ class CalibrationModule(lightning.LightningModule):
     def forward(self, batch: NetworkInput) -> Tensor:
         """Estimate the decalibration of a batch.
 
-        Args:
-            batch: B network inputs.
-
         Returns:
             (n, 6) metres and radians.
         """
@@ -104,10 +101,6 @@ class CalibrationModule(lightning.LightningModule):
 
     def stochastic(self, batch: NetworkInput, split: str) -> SplitPrediction:
         """Mean and spread of the stochastic passes; the same for a frame in any batch.
-
-        Args:
-            batch: B network inputs of n units.
-            split: name of the split that they come from.
 
         Returns:
             The predictions of the n units.
@@ -150,12 +143,7 @@ class CalibrationModule(lightning.LightningModule):
         self.memory = memory
 
     def fit_calibrator(self, scores: SplitPrediction, frames: Sequence[FrameId]) -> None:
-        """Calibrate the intervals of these weights, passes, rates and masks.
-
-        Args:
-            scores: predictions of the uncertainty calibration split.
-            frames: that split.
-        """
+        """Calibrate the intervals of these weights, passes, rates and masks."""
         self.calibrator.fit(
             scores.mean,
             scores.std,

@@ -83,11 +83,6 @@ class SplitPrediction:
 def frame_seed(seed: int, split: str, frame: FrameId) -> int:
     """Seed of a frame's dropout masks: the same in any batch, on any process, in any order.
 
-    Args:
-        seed: the run's.
-        split: name of the split.
-        frame: the frame.
-
     Returns:
         63-bit seed.
     """
@@ -99,9 +94,6 @@ def pass_names(batch: NetworkInput) -> list[str]:
     """Names under which the passes of a batch's frames are remembered.
 
     In a window a frame's passes depend on the others, whose evidence the rounds before added up.
-
-    Args:
-        batch: B frames.
 
     Returns:
         B names: the frame's own, and in a window those of all its frames behind it.
@@ -119,10 +111,6 @@ def join_predictions(parts: Sequence[SplitPrediction], split: str) -> SplitPredi
     """Predictions of a split's batches as one, those of all processes together.
 
     Samples that a distributed sampler repeated are dropped; the order is the split's.
-
-    Args:
-        parts: this process's, one per batch.
-        split: its name, for the message.
 
     Returns:
         All of them, on the CPU, the same on every process.

@@ -73,11 +73,7 @@ class RunRecord:
         return found if (self.path.parent / "results.csv").is_file() else None
 
     def write(self, **results: object) -> Path:
-        """Write what the run was and what came out.
-
-        Returns:
-            The path.
-        """
+        """Write what the run was and what came out."""
         content = {
             **self._content,
             "finished": datetime.now().isoformat(timespec="seconds"),

@@ -94,9 +94,6 @@ class IntervalCalibrator(CalibratorState):
             bounds: (m, D) lower and upper quantile outputs, where the method needs them.
             identity: the predictor, ``MCDropout.identity()``, to be checked before later use.
 
-        Returns:
-            Itself.
-
         Raises:
             UncertaintyError: wrong shapes, values that are not finite, groups or bounds that the
                 method needs missing, or, where it divides by σ, σ negative or 0.

@@ -40,12 +40,7 @@ def _source(tensor: Tensor) -> Tensor:
 
 
 def without(network: nn.Module, stochastic: Set[nn.Module]) -> list[nn.Module]:
-    """Modules that have none of some modules inside and are not one of them.
-
-    Args:
-        network: where to look.
-        stochastic: those not to be found inside.
-    """
+    """Modules that have none of some modules inside and are not one of them."""
     pure: dict[nn.Module, bool] = {}
 
     def look(module: nn.Module) -> bool:
@@ -64,12 +59,7 @@ def _is_script(module: nn.Module) -> bool:
 
 
 class SharedPrefix:
-    """Remembers outputs of the modules that run before the first dropout.
-
-    Args:
-        network: the network.
-        active: its active dropout layers.
-    """
+    """Remembers outputs of the modules that run before the first dropout."""
 
     def __init__(self, network: nn.Module, active: Iterable[nn.Module]) -> None:
         self._pure = without(network, set(active))
@@ -99,10 +89,6 @@ class SharedPrefix:
 
     def replay(self, run: Callable[[], object], times: int) -> object:
         """Run the network with what is known put in, replicated.
-
-        Args:
-            run: calls the network with a replicated batch.
-            times: how often it is replicated.
 
         Returns:
             What ``run`` returns.

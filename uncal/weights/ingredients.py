@@ -48,15 +48,7 @@ NOT_LEARNT: tuple[str, ...] = (
 
 
 def data_ingredients(config: DictConfig, data: CalibrationDataModule) -> dict[str, object]:
-    """What training and passes have in common; looks at every file of the recordings, once.
-
-    Args:
-        config: the run's configuration.
-        data: its recordings.
-
-    Returns:
-        Plain values.
-    """
+    """What training and passes have in common; looks at every file of the recordings, once."""
     recording = _plain(config.dataset.recording)
     recording.pop("root", None)
     return {
@@ -79,13 +71,6 @@ def training_ingredients(
 
     What changes only the inference is left out: passes, masks, interval method, levels, and who
     calibrates the uncertainty or tests.
-
-    Args:
-        config: the run's configuration.
-        data: its recordings, split.
-        module: its network, not trained yet.
-        trainer: its trainer.
-        shared: :func:`data_ingredients`.
 
     Returns:
         Plain values; the same on every machine for the same data, settings and versions.
@@ -122,17 +107,7 @@ def pass_ingredients(
     trainer: lightning.Trainer,
     shared: Mapping[str, object],
 ) -> dict[str, object]:
-    """Everything but their number that decides what the stochastic passes of trained weights give.
-
-    Args:
-        config: the run's configuration.
-        module: its trained network.
-        trainer: its trainer.
-        shared: :func:`data_ingredients`.
-
-    Returns:
-        Plain values.
-    """
+    """All but their number that decides what the stochastic passes of trained weights give."""
     identity = module.engine.identity()
     return {
         **shared,

@@ -85,11 +85,7 @@ class WeightStore:
         return last if last is not None and last.is_file() else None
 
     def begin(self, last: Path | None) -> None:
-        """Note where a training that starts now keeps its last epoch.
-
-        Args:
-            last: the checkpoint that will be there after every epoch; None if none is kept.
-        """
+        """Note where a training that starts now keeps its last epoch."""
         text = json.dumps(self.ingredients, indent=1, sort_keys=True)
         write_whole(self.folder / INGREDIENTS, f"{text}\n")
         (self.folder / RECORD).unlink(missing_ok=True)
@@ -100,12 +96,7 @@ class WeightStore:
             write_whole(self.folder / UNFINISHED, f"{note}\n")
 
     def keep(self, checkpoint: Path, trained: Trained) -> None:
-        """Keep finished weights; a reader sees them whole or not at all.
-
-        Args:
-            checkpoint: the best one.
-            trained: how they came about.
-        """
+        """Keep finished weights; a reader sees them whole or not at all."""
         with replaced_whole(self.checkpoint) as partial:
             shutil.copyfile(checkpoint, partial)
         write_whole(self.folder / RECORD, f"{json.dumps(asdict(trained), indent=1)}\n")
