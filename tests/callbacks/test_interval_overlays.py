@@ -188,7 +188,7 @@ def test_nothing_is_drawn_without_finite_intervals_or_elsewhere(
     callback.on_test_end(_trainer(data, zero=False), _module(data))
     callback.on_test_end(_trainer(None), _module(data))
     untested = _module(data)
-    untested.tested = None
+    untested.run.tested = None
     callback.on_test_end(_trainer(data), untested)
     assert not folder.exists()
 
