@@ -37,7 +37,7 @@ def main(config: DictConfig) -> float:
     import lightning
 
     from uncal.assembly import build_data, build_module, build_trainer, say_simulated
-    from uncal.checkpoint import check_start, read_recipe, start_from
+    from uncal.checkpoint import check_start, last_checkpoint, read_recipe, start_from
     from uncal.memory import keep_freed_memory
     from uncal.runs import finished_earlier, make_record, weights_to_report
     from uncal.settings.check import check_settings
@@ -170,6 +170,8 @@ def fit_or_resume(
     """
     from lightning.pytorch.callbacks import ModelCheckpoint
 
+    from uncal.checkpoint import last_checkpoint
+
     if start is not None:
         for callback in trainer.checkpoint_callbacks:
             if isinstance(callback, ModelCheckpoint):
@@ -183,16 +185,6 @@ def fit_or_resume(
         start,
         f"the same command, which finds {last} (retrain=true would start anew)",
     )
-
-
-def last_checkpoint(trainer: lightning.Trainer) -> Path | None:
-    """Where a trainer keeps what it has after every epoch; None if it does not."""
-    from lightning.pytorch.callbacks import ModelCheckpoint
-
-    for callback in trainer.checkpoint_callbacks:
-        if isinstance(callback, ModelCheckpoint) and callback.filename == "last":
-            return Path(str(callback.dirpath)) / "last.ckpt"
-    return None
 
 
 if __name__ == "__main__":

@@ -5,10 +5,8 @@ from __future__ import annotations
 import lightning
 from lightning import LightningModule, Trainer
 
-from uncal.data.datamodule import CalibrationDataModule
-from uncal.errors import ConfigurationError
+from uncal.callbacks.uncertainty_calibration import ours
 from uncal.models.control import image_blind_control
-from uncal.models.module import CalibrationModule
 
 
 class ImageBlindControl(lightning.Callback):
@@ -20,12 +18,5 @@ class ImageBlindControl(lightning.Callback):
         Raises:
             ConfigurationError: the module or the data are not ours.
         """
-        data = getattr(trainer, "datamodule", None)
-        if not isinstance(pl_module, CalibrationModule) or not isinstance(
-            data, CalibrationDataModule
-        ):
-            raise ConfigurationError(
-                "ImageBlindControl needs a CalibrationModule and a CalibrationDataModule, got "
-                f"{type(pl_module).__name__} and {type(data).__name__}: drop callbacks.control"
-            )
-        pl_module.run.control = image_blind_control(trainer, pl_module, data)
+        module, data = ours(trainer, pl_module, "control")
+        module.run.control = image_blind_control(trainer, module, data)

@@ -55,13 +55,7 @@ class IntervalOverlays(lightning.Callback):
         if not isinstance(pl_module, CalibrationModule) or pl_module.run.tested is None:
             return
         tested = pl_module.run.tested
-        intervals = pl_module.calibrator.predict(
-            tested.mean,
-            tested.std,
-            self.level,
-            groups=tested.groups(data.named("test"), pl_module.groups),
-            bounds=tested.bounds,
-        )
+        intervals = pl_module.intervals(tested, data.named("test"), self.level)
         j = DOF_NAMES.index(self.dof)
         lower, upper = intervals.lower[:, j], intervals.upper[:, j]
         ranks = chosen_by_width(upper - lower, self.frames)

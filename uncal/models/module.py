@@ -27,6 +27,7 @@ from uncal.uncertainty.dropout import only_active
 from uncal.uncertainty.ellipsoid import EllipsoidCalibrator
 from uncal.uncertainty.errors import UncertaintyError
 from uncal.uncertainty.gather import gather_by_id
+from uncal.uncertainty.intervals import Intervals
 from uncal.uncertainty.masks import FixedMasks
 from uncal.uncertainty.mc_dropout import MCDropout, Prediction
 from uncal.uncertainty.pass_memory import PassMemory
@@ -158,6 +159,24 @@ class CalibrationModule(lightning.LightningModule):
             )
         except UncertaintyError as error:
             log.info("no joint ellipsoid: %s", error)
+
+    def intervals(
+        self, predicted: SplitPrediction, frames: Sequence[FrameId], level: float
+    ) -> Intervals:
+        """The intervals of a split's predictions at a coverage level in (0, 1).
+
+        Args:
+            predicted: some frames of a split.
+            frames: all of that split.
+            level: coverage level in (0, 1).
+        """
+        return self.calibrator.predict(
+            predicted.mean,
+            predicted.std,
+            level,
+            groups=predicted.groups(frames, self.groups),
+            bounds=predicted.bounds,
+        )
 
     def on_train_start(self) -> None:
         """Follow the schedule from the first step on, also of a resumed training."""
