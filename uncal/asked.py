@@ -23,9 +23,6 @@ def with_settings_of(
     (``mcd.passes=50``) replaces that key. New recordings bring their own split, by default with
     next to nothing for the training that they do not do, and their images are brought to the focal
     length that the weights know.
-
-    Returns:
-        The configuration of the evaluation.
     """
     run = cast(DictConfig, OmegaConf.create(OmegaConf.to_container(config)))
     asked = [word.lstrip("+~").split("=", 1)[0].split("@")[0] for word in overrides]

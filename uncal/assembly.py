@@ -249,9 +249,6 @@ def build_trainer(config: DictConfig) -> lightning.Trainer:
 def validation_interval(epochs: int, validations: int) -> int:
     """Smallest interval that divides the epochs and makes no more validations than asked for.
 
-    Returns:
-        Epochs from one validation to the next.
-
     Raises:
         ConfigurationError: one of the two is not positive.
 

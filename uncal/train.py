@@ -127,9 +127,6 @@ def fit(
 ) -> Path:
     """Train, from nothing or from a checkpoint.
 
-    Returns:
-        The checkpoint that validated best.
-
     Raises:
         UncalError: interrupted, stopped by an error, or no checkpoint was written.
     """

@@ -120,11 +120,7 @@ class CalibrationDataModule(lightning.LightningDataModule):
         )
 
     def named(self, split: str) -> list[FrameId]:
-        """The units of a split, each by its first frame.
-
-        Args:
-            split: a name of :data:`uncal.data.splits.SPLITS`.
-        """
+        """The units of a split, each by its first frame."""
         return [unit[0] for unit in self.units[split]]
 
     def loader_of(

@@ -60,9 +60,6 @@ def cap_training(training: Sequence[FrameId], n: int, seed: int) -> list[FrameId
     The choice depends neither on the order of the frames nor on a random generator's version, and a
     smaller one is part of every larger one.
 
-    Returns:
-        The chosen frames by name.
-
     Raises:
         ConfigurationError: ``n`` is not positive, or there are fewer frames.
 

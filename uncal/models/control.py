@@ -75,12 +75,6 @@ def image_blind_control(
     one before it, the first that of the last. So no frame keeps its own, whatever cannot be read,
     and which image a frame gets does not depend on batch size or number of processes.
 
-    Args:
-        trainer: gives device, precision and processes.
-        module: the network.
-        data: gives the split's frames.
-        split: its name; one with fixed decalibrations.
-
     Returns:
         The estimates of all readable frames, the same on every process; None if fewer than two
         can be read.

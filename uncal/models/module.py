@@ -101,11 +101,7 @@ class CalibrationModule(lightning.LightningModule):
         return cast(Estimator, self.estimator)
 
     def stochastic(self, batch: NetworkInput, split: str) -> SplitPrediction:
-        """Mean and spread of the stochastic passes; the same for a frame in any batch.
-
-        Returns:
-            The predictions of the n units.
-        """
+        """Mean and spread of the stochastic passes; the same for a frame in any batch."""
         # Whatever mode the module is in: no dropout, and statistics of batches stay as they are.
         with only_active(self.estimator, []):
             question = self._estimator.question(batch)

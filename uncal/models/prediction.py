@@ -44,11 +44,6 @@ class SplitPrediction:
     def of(cls, answer: Answer, batch: NetworkInput, spread: str) -> SplitPrediction:
         """One batch's; of 18 outputs the first six are the pose, the others its quantiles.
 
-        Args:
-            answer: of the stochastic passes.
-            batch: what was asked about.
-            spread: one of :data:`SPREADS`.
-
         Raises:
             ConfigurationError: the solver's covariance of a network without a solver.
         """
