@@ -1,4 +1,4 @@
-"""How many test samples a split conformal interval covers: the exact law, for any distribution."""
+"""How many test samples a split conformal interval covers: the Beta-Binomial law of the count."""
 
 from __future__ import annotations
 

@@ -121,9 +121,9 @@ class CalibratorState(nn.Module):
             )
         if differences := known.differences(identity):
             raise PredictorMismatchError(
-                "The calibrator was fitted with another predictor, so that its intervals promise "
-                f"nothing here ({'; '.join(differences)}). Use the predictor it was calibrated "
-                "with, or calibrate again."
+                "The calibrator was fitted with another predictor, so that nothing guarantees the "
+                f"coverage of its intervals here ({'; '.join(differences)}). Use the predictor it was "
+                "calibrated with, or calibrate again."
             )
 
     def _record(self, count: int, identity: PredictorIdentity | None, device: torch.device) -> None:
