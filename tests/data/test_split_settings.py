@@ -104,7 +104,7 @@ def test_notes_of_blocks() -> None:
         ({"unseen_rigs": 0.0}, r"split\.test=unseen .*unseen_rigs=0 .*say 0\.2.*split\.test=own"),
         ({"unseen_rigs": 25}, r"unseen_rigs=25: expected a share of the 20 rig"),
         ({"unseen_rigs": 0.98}, r"holds out 20 of 20 rig\(s\)"),
-        ({"unseen_rigs": 0.9}, r"at least 4 rigs.* there are 2 .*had put 18 rig\(s\) away before"),
+        ({"unseen_rigs": 0.9}, r"at least 4 rigs.* there are 2 .*had held out 18 rig\(s\) before"),
         ({"by": "official", "official": OFFICIAL}, r"unseen_rigs=0\.2, but split\.by=official"),
         ({"by": "block", "block_frames": None}, r"split\.block_frames=None"),
         ({"by": "sequence"}, r"split\.by is 'sequence', expected one of frame, block, drive, rig"),

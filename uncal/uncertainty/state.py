@@ -122,8 +122,8 @@ class CalibratorState(nn.Module):
         if differences := known.differences(identity):
             raise PredictorMismatchError(
                 "The calibrator was fitted with another predictor, so that nothing guarantees the "
-                f"coverage of its intervals here ({'; '.join(differences)}). Use the predictor it was "
-                "calibrated with, or calibrate again."
+                f"coverage of its intervals here ({'; '.join(differences)}). Use the predictor it "
+                "was calibrated with, or calibrate again."
             )
 
     def _record(self, count: int, identity: PredictorIdentity | None, device: torch.device) -> None:
