@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import csv
 import io
+import json
+import logging
 import math
 import secrets
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TypeAlias
+
+log = logging.getLogger(__name__)
 
 Grid: TypeAlias = list[list[str]]
 """Rows of cells, the first the header; the first column names the rows."""
@@ -68,6 +72,18 @@ def write_whole(path: Path, text: str) -> Path:
     with replaced_whole(path) as partial:
         partial.write_text(text, encoding="utf-8")
     return path
+
+
+def read_json(path: Path, consequence: str) -> dict[str, object] | None:
+    """A JSON object; None where there is none, with a warning if the file is damaged."""
+    if not path.is_file():
+        return None
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        log.warning("%s cannot be read (%s): %s", path, error, consequence)
+        return None
+    return content if isinstance(content, dict) else None
 
 
 @contextmanager

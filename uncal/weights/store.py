@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from uncal.locking import locked
-from uncal.reporting.layout import replaced_whole, write_whole
+from uncal.reporting.layout import read_json, replaced_whole, write_whole
 from uncal.weights.digest import digest_of
 
 log = logging.getLogger(__name__)
@@ -71,7 +71,7 @@ class WeightStore:
         """The record of finished weights; None if there are none, or not whole."""
         if not self.checkpoint.is_file():
             return None
-        content = _read(self.folder / RECORD)
+        content = read_json(self.folder / RECORD, "not used")
         try:
             return None if content is None else Trained(**content)  # type: ignore[arg-type]
         except TypeError:
@@ -80,7 +80,7 @@ class WeightStore:
 
     def interrupted(self) -> Path | None:
         """The checkpoint after the last epoch of a training that did not end; None without one."""
-        content = _read(self.folder / UNFINISHED)
+        content = read_json(self.folder / UNFINISHED, "not used")
         last = None if content is None else Path(str(content.get("last")))
         return last if last is not None and last.is_file() else None
 
@@ -101,15 +101,3 @@ class WeightStore:
             shutil.copyfile(checkpoint, partial)
         write_whole(self.folder / RECORD, f"{json.dumps(asdict(trained), indent=1)}\n")
         (self.folder / UNFINISHED).unlink(missing_ok=True)
-
-
-def _read(path: Path) -> dict[str, object] | None:
-    """A JSON object; None, and a warning, if there is no such thing."""
-    if not path.is_file():
-        return None
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
-        log.warning("%s cannot be read (%s): not used", path, error)
-        return None
-    return content if isinstance(content, dict) else None
