@@ -22,6 +22,11 @@ OWN: tuple[str, ...] = ("calibrator.", "ellipsoid.", "masks.")
 def load_weights(module: CalibrationModule, path: Path, calibrated: bool) -> None:
     """Load weights.
 
+    Args:
+        module: of the same network.
+        path: a checkpoint, or shipped weights.
+        calibrated: whether their calibrator is of the module's kind, and wanted.
+
     Raises:
         ConfigurationError: the weights are another network's.
     """
@@ -36,6 +41,10 @@ def load_weights(module: CalibrationModule, path: Path, calibrated: bool) -> Non
 
 def check_start(module: CalibrationModule, path: Path) -> None:
     """Refuse a checkpoint that a training of this network cannot go on from.
+
+    Args:
+        module: of the training.
+        path: what ``ckpt=`` names.
 
     Raises:
         ConfigurationError: no such file, not a checkpoint of this project, another network's, or
@@ -62,6 +71,10 @@ def check_start(module: CalibrationModule, path: Path) -> None:
 def start_from(module: CalibrationModule, path: Path) -> None:
     """Begin a training with weights instead of random numbers.
 
+    Args:
+        module: of the same network, not trained yet.
+        path: a checkpoint, or shipped weights.
+
     Raises:
         ConfigurationError: the weights are another network's.
     """
@@ -70,7 +83,12 @@ def start_from(module: CalibrationModule, path: Path) -> None:
 
 
 def save_weights(module: CalibrationModule, path: Path) -> None:
-    """Write a checkpoint for :mod:`uncal.evaluate`: weights, calibrator, settings."""
+    """Write a checkpoint for :mod:`uncal.evaluate`: weights, calibrator and settings of this run.
+
+    Args:
+        module: trained and calibrated.
+        path: the checkpoint; its folder is made if it is not there.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
     with replaced_whole(path) as partial:
         torch.save({"state_dict": module.state_dict(), "uncal_recipe": module.recipe}, partial)
@@ -78,6 +96,9 @@ def save_weights(module: CalibrationModule, path: Path) -> None:
 
 def read_recipe(path: Path) -> DictConfig:
     """The settings that weights were trained with.
+
+    Args:
+        path: a checkpoint, or shipped weights.
 
     Returns:
         The parts of the configuration named by :data:`uncal.assembly.RECIPE`.
