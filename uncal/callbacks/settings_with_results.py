@@ -20,7 +20,8 @@ class SettingsWithResults(lightning.Callback):
         if not isinstance(pl_module, CalibrationModule) or pl_module.run.results is None:
             return
         # By dotted key, such as mcd.passes; the logger would join them by slashes.
-        settings = pd.json_normalize(pl_module.recipe, sep=".").iloc[0].to_dict()
+        flat = pd.json_normalize(pl_module.recipe, sep=".").iloc[0]
+        settings = {str(key): value for key, value in flat.items()}
         for logger in trainer.loggers:
             if isinstance(logger, TensorBoardLogger):
                 logger.log_hyperparams(

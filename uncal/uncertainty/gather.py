@@ -42,8 +42,8 @@ def gather_by_id(ids: Tensor, *tensors: Tensor) -> tuple[Tensor, ...]:
         ours = (complaint, tuple(tensor.cpu() for tensor in columns))
         everyone: list[tuple[str, tuple[Tensor, ...]]] = [ours] * dist.get_world_size()
         dist.all_gather_object(everyone, ours)
-        joined = map(torch.cat, zip(*_agreed(everyone), strict=True))
-        columns = tuple(new.to(own.device) for new, own in zip(joined, columns, strict=True))
+        held = zip(*_agreed(everyone), strict=True)
+        columns = tuple(torch.cat(h).to(own.device) for h, own in zip(held, columns, strict=True))
     elif complaint:
         raise UncertaintyError(complaint)
     order = columns[0].argsort(stable=True)
