@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
+
 import lightning
-import pandas as pd
 from lightning import LightningModule, Trainer
 from lightning.pytorch.loggers import TensorBoardLogger
 
 from uncal.models.module import CalibrationModule
+
+Scalar = str | int | float | bool
 
 
 class SettingsWithResults(lightning.Callback):
@@ -19,12 +22,23 @@ class SettingsWithResults(lightning.Callback):
             return
         if not isinstance(pl_module, CalibrationModule) or pl_module.run.results is None:
             return
-        # By dotted key, such as mcd.passes; the logger would join them by slashes.
-        flat = pd.json_normalize(pl_module.recipe, sep=".").iloc[0]
-        settings = {str(key): value for key, value in flat.items()}
         for logger in trainer.loggers:
             if isinstance(logger, TensorBoardLogger):
                 logger.log_hyperparams(
-                    settings,
+                    dict(flat(pl_module.recipe)),
                     {"result/mean ratio": float(pl_module.run.results.summary.mean_ratio)},
                 )
+
+
+def flat(settings: Mapping[str, object], path: str = "") -> Iterator[tuple[str, Scalar]]:
+    """Settings by dotted key; what is neither text nor number as text.
+
+    >>> dict(flat({"mcd": {"passes": 25, "layers": None}, "levels": [0.9, 0.95]}))
+    {'mcd.passes': 25, 'mcd.layers': 'None', 'levels': '[0.9, 0.95]'}
+    """
+    for name, value in settings.items():
+        key = f"{path}.{name}" if path else str(name)
+        if isinstance(value, Mapping):
+            yield from flat(value, key)
+        else:
+            yield key, value if isinstance(value, str | int | float | bool) else str(value)
