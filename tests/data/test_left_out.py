@@ -66,7 +66,7 @@ def test_a_share_out_of_range(share: float) -> None:
 def test_a_rig_must_remain(n_rigs: int, share: float) -> None:
     with pytest.raises(
         ConfigurationError,
-        match=rf"unseen_rigs={share} holds out {n_rigs} of {n_rigs} rig.*smaller share, add recordings",
+        match=rf"unseen_rigs={share} holds out {n_rigs} of {n_rigs} rig.*smaller share, add",
     ):
         hold_out_rigs(recording(n_rigs), share, seed=0)
 
