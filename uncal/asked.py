@@ -23,15 +23,6 @@ def with_settings_of(
     (``mcd.passes=50``) replaces that key. New recordings bring their own split, by default with
     next to nothing for the training that they do not do, and their images are brought to the focal
     length that the weights know.
-
-    Args:
-        config: as composed from the command line.
-        recipe: what the weights were trained with.
-        overrides: of the command line, as words.
-        kept: top-level keys of the recipe.
-
-    Returns:
-        The configuration of the evaluation.
     """
     run = cast(DictConfig, OmegaConf.create(OmegaConf.to_container(config)))
     asked = [word.lstrip("+~").split("=", 1)[0].split("@")[0] for word in overrides]
@@ -40,7 +31,7 @@ def with_settings_of(
     other_data = "dataset" in groups
     with open_dict(run):
         for name in kept:
-            if name in groups or (name == "split" and other_data) or name not in recipe:
+            if name in groups or (name == "split" and other_data):
                 continue
             run[name] = recipe[name]
         for key in keys:
@@ -60,11 +51,7 @@ def with_settings_of(
 
 
 def focal_of(recipe: DictConfig) -> float | None:
-    """Focal length of the images that weights were trained on, pixels; None if it is not known.
-
-    Args:
-        recipe: what the weights were trained with.
-    """
+    """Focal length of the images that weights were trained on, pixels; None if it is not known."""
     known = recipe.dataset.get("focal_px")
     if known is None:
         known = OmegaConf.select(recipe, "dataset.simulation.camera.focal_px")

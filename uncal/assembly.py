@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
-from functools import partial
+from collections.abc import Mapping
 from pathlib import Path
 from typing import cast
 
@@ -19,29 +18,21 @@ from uncal.data.image_size import size_at_focal
 from uncal.data.network_input import CAMERAS, InputSettings
 from uncal.decalibration import DecalibrationRange
 from uncal.errors import ConfigurationError, FrameError, RecordingError
-from uncal.geometry import DOF_NAMES
+from uncal.inference_settings import DropoutSettings, IntervalSettings, choice, read_settings
 from uncal.models.alignment import AlignmentEstimator
 from uncal.models.edge_alignment import EdgeAlignment, EdgeAlignmentEstimator
 from uncal.models.estimator import PoseEstimator
 from uncal.models.evidence import EvidenceNetwork
 from uncal.models.module import CalibrationModule
-from uncal.models.prediction import SPREADS
 from uncal.recordings.frame import Recording
 from uncal.saving import WholeCheckpoints
 from uncal.settings.guard import names_the_setting
 from uncal.simulation.cache import ensure_simulated
 from uncal.simulation.manifest import MANIFEST_NAME
 from uncal.simulation.settings import SimulationSettings
-from uncal.uncertainty.calibrator import IntervalCalibrator
 from uncal.uncertainty.dropout import dropout_rates, insert_dropout
-from uncal.uncertainty.masks import FixedMasks
-from uncal.uncertainty.mc_dropout import MCDropout
-from uncal.uncertainty.single_pass import SinglePass
 
 log = logging.getLogger(__name__)
-
-MCD_KEYS = ("spread", "passes", "strategy", "chunk", "masks", "layers", "insert", "seed")
-INTERVAL_KEYS = ("levels", "sigma_floor", "groups", "quantile_levels", "calibrator")
 
 MODELS = {"rgb": "unical", "events": "muliev"}
 DATASETS = {"rgb": "demo, kitti or kitti_odometry", "events": "demo_events or dsec"}
@@ -56,12 +47,6 @@ RECIPE = (
 
 def build_data(config: DictConfig) -> CalibrationDataModule:
     """Find the recording (simulate it first if it is a simulated one) and split it.
-
-    Args:
-        config: the run's configuration.
-
-    Returns:
-        The data module.
 
     Raises:
         UncalError: the recording or a setting cannot be used; the message says which and why.
@@ -136,11 +121,7 @@ def recorded_size(recording: Recording, focal_px: float | None) -> tuple[int, in
 
 
 def say_simulated(config: DictConfig) -> None:
-    """Put "simulated" into the label of a simulation that stands in for real recordings.
-
-    Args:
-        config: the run's configuration; changed in place.
-    """
+    """Put "simulated" into the label of a simulation that stands in for real recordings."""
     dataset = config.dataset
     if (Path(dataset.root) / MANIFEST_NAME).is_file() and "simulated" not in dataset.label:
         dataset.label = f"simulated (a stand-in for {dataset.label})"
@@ -149,10 +130,6 @@ def say_simulated(config: DictConfig) -> None:
 
 def check_pairing(config: DictConfig, inputs: InputSettings) -> None:
     """Make sure that the dataset has what the model reads.
-
-    Args:
-        config: the run's configuration.
-        inputs: the model's.
 
     Raises:
         ConfigurationError: it has not.
@@ -171,9 +148,6 @@ def check_pairing(config: DictConfig, inputs: InputSettings) -> None:
 def build_module(config: DictConfig) -> CalibrationModule:
     """Make the network and the LightningModule around it, untrained.
 
-    Args:
-        config: the run's configuration.
-
     Returns:
         The module; its ``recipe`` goes into every checkpoint.
 
@@ -181,24 +155,24 @@ def build_module(config: DictConfig) -> CalibrationModule:
         ConfigurationError: a setting is unknown or out of its range.
     """
     model = config.model
-    refuse_unknown("mcd", config.mcd, MCD_KEYS)
-    refuse_unknown("interval", config.interval, INTERVAL_KEYS)
+    dropout = read_settings(DropoutSettings, "mcd", config.mcd)
+    intervals = read_settings(IntervalSettings, "interval", config.interval)
     inputs = instantiate(model.inputs)
     network = instantiate(model.network, in_channels=inputs.n_channels)
-    if config.mcd.insert is not None:
-        added = insert_dropout(network, **instantiate(config.mcd.insert))
+    if dropout.insert is not None:
+        added = insert_dropout(network, **dropout.insert)  # type: ignore[arg-type]
         log.info("dropout inserted: %s", ", ".join(added))
     decalibration: DecalibrationRange = instantiate(config.decalibration)
     module = CalibrationModule(
         estimator=_estimator(config, network, decalibration),
         optimizer=instantiate(model.optimization.optimizer),
         warmup_fraction=model.optimization.warmup_fraction,
-        engine=partial(_engine, config.mcd),
-        spread=choice("mcd.spread", config.mcd.spread, SPREADS),
-        fixed_masks=choice("mcd.masks", config.mcd.masks, ("random", "fixed")) == "fixed",
-        calibrator=_calibrator(config, decalibration),
-        groups=choice("interval.groups", config.interval.groups, ("rig", "drive")),
-        mask_seed=config.mcd.seed,
+        engine=dropout.engine,
+        spread=dropout.spread,
+        fixed_masks=dropout.masks == "fixed",
+        calibrator=intervals.make(network, dropout, decalibration.bounds),
+        groups=intervals.groups,
+        mask_seed=dropout.seed,
     )
     _try_out(module, config)
     module.recipe = cast(
@@ -267,46 +241,11 @@ def _refuse_what_needs_a_solver(config: DictConfig) -> None:
         )
 
 
-def _engine(mcd: DictConfig, network: nn.Module, masks: FixedMasks | None) -> MCDropout:
-    if mcd.passes == 1:
-        return SinglePass(network)
-    layers = None if mcd.layers is None else list(mcd.layers)
-    return MCDropout(
-        network, mcd.passes, mcd.chunk, strategy=mcd.strategy, masks=masks, select=layers
-    )
-
-
-def _calibrator(config: DictConfig, decalibration: DecalibrationRange) -> IntervalCalibrator:
-    make = instantiate(config.interval.calibrator)
-    kind = make.func
-    headless = config.model.get("edges", 0) > 0
-    head = str((config.model.get("head") or {}).get("_target_", ""))
-    if kind.needs_bounds and (headless or "quantile" not in head.lower()):
-        raise ConfigurationError(
-            f"interval: {kind.__name__} widens quantiles that the network gives, and this one "
-            f"gives none: add {'model/backbone=mobilevit_xxs ' * headless}model/head=quantile"
-        )
-    if kind.needs_std and config.mcd.passes == 1 and config.mcd.spread == "dropout":
-        raise ConfigurationError(
-            f"mcd.passes=1 is one pass without dropout and has no σ, which {kind.__name__} needs: "
-            "set at least 2 (the paper: 25), or choose interval=absolute or interval=cqr"
-        )
-    # Without σ the joint score would compare metres with radians.
-    scales = {} if kind.needs_std else {"scales": decalibration.bounds.tolist()}
-    return cast(IntervalCalibrator, make(names=DOF_NAMES, **scales))
-
-
 @names_the_setting("trainer", "callbacks", "logger")
 def build_trainer(config: DictConfig) -> lightning.Trainer:
     """Make the trainer with the configured callbacks and loggers.
 
     Validations are spread evenly and always include the last epoch.
-
-    Args:
-        config: the run's configuration.
-
-    Returns:
-        The trainer.
     """
     epochs = config.trainer.max_epochs
     every = validation_interval(epochs, config.dataset.validations)
@@ -326,50 +265,8 @@ def build_trainer(config: DictConfig) -> lightning.Trainer:
     return trainer
 
 
-def choice(name: str, value: str, known: Sequence[str]) -> str:
-    """One of a few words.
-
-    Args:
-        name: of the key, for the message.
-        value: what the configuration says.
-        known: what is possible.
-
-    Raises:
-        ConfigurationError: anything else.
-    """
-    if value not in known:
-        raise ConfigurationError(f"{name}={value}: expected {' or '.join(known)}")
-    return value
-
-
-def refuse_unknown(name: str, section: DictConfig, known: Sequence[str]) -> None:
-    """Catch keys that ``+name.key=value`` added although nothing reads them.
-
-    Args:
-        name: of the section.
-        section: of the configuration.
-        known: the keys that are read.
-
-    Raises:
-        ConfigurationError: another key is there.
-    """
-    unknown = [str(key) for key in section if key not in known]
-    if unknown:
-        raise ConfigurationError(
-            f"{', '.join(f'{name}.{key}' for key in unknown)}: nothing reads this; "
-            f"{name} has {', '.join(known)}"
-        )
-
-
 def validation_interval(epochs: int, validations: int) -> int:
     """Smallest interval that divides the epochs and makes no more validations than asked for.
-
-    Args:
-        epochs: epochs of the training.
-        validations: how many validations at most.
-
-    Returns:
-        Epochs from one validation to the next.
 
     Raises:
         ConfigurationError: one of the two is not positive.
@@ -387,9 +284,6 @@ def validation_interval(epochs: int, validations: int) -> int:
 
 def image_size(value: object) -> tuple[int, int]:
     """Check a configured image size.
-
-    Args:
-        value: what the configuration says.
 
     Returns:
         (H, W) in pixels.

@@ -26,11 +26,7 @@ log = logging.getLogger(__name__)
 @hydra.main(version_base="1.3", config_path=CONFIG_DIR, config_name="benchmark")
 @exits_on_error
 def main(config: DictConfig) -> None:
-    """Measure, write, show.
-
-    Args:
-        config: conf/benchmark.yaml with the command line's overrides.
-    """
+    """Measure, write, show."""
     # Here and not above: they take seconds, which --help has no use for.
     import torch
 
@@ -81,15 +77,12 @@ def main(config: DictConfig) -> None:
 def pick_device(name: str) -> torch.device:
     """The device to measure on.
 
-    Args:
-        name: auto, cpu or cuda.
-
     Raises:
         ConfigurationError: another name, or a GPU that is not there.
     """
     import torch
 
-    from uncal.assembly import choice
+    from uncal.inference_settings import choice
 
     choice("device", name, ("auto", "cpu", "cuda"))
     if name == "cuda" and not torch.cuda.is_available():

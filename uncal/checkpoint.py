@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import lightning
 import torch
+from lightning.pytorch.callbacks import ModelCheckpoint
 from omegaconf import DictConfig
 from torch import Tensor
 
@@ -110,6 +112,14 @@ def read_recipe(path: Path) -> DictConfig:
         ConfigurationError: no such file, or not of this project.
     """
     return _read(path)[1]
+
+
+def last_checkpoint(trainer: lightning.Trainer) -> Path | None:
+    """Where a trainer keeps what it has after every epoch; None if it does not."""
+    for callback in trainer.checkpoint_callbacks:
+        if isinstance(callback, ModelCheckpoint) and callback.filename == "last":
+            return Path(str(callback.dirpath)) / "last.ckpt"
+    return None
 
 
 def _read(path: Path) -> tuple[dict[str, Tensor], DictConfig]:

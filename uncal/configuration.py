@@ -34,9 +34,6 @@ INTERRUPTED = 130
 def find_config_dir(package: Path) -> str:
     """Absolute path of the configuration folder.
 
-    Args:
-        package: folder of the installed package; a checkout has ``conf`` beside it, a wheel in it.
-
     Raises:
         ConfigurationError: neither exists.
     """

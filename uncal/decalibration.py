@@ -63,10 +63,6 @@ class DecalibrationRange:
     def draw(self, n: int, device: torch.device | str = "cpu") -> Tensor:
         """Draw from torch's global generator, as training does.
 
-        Args:
-            n: how many.
-            device: where the result lives.
-
         Returns:
             (n, 6) decalibrations, metres and radians.
         """
@@ -74,10 +70,6 @@ class DecalibrationRange:
 
     def draw_for(self, seed: int, frame: str) -> Tensor:
         """The decalibration of one frame: a pure function of its arguments, on any machine.
-
-        Args:
-            seed: the run's evaluation seed.
-            frame: the frame's name, unique within the recording.
 
         Returns:
             (6,) float32 decalibration, metres and radians.

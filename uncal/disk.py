@@ -25,9 +25,6 @@ _REFUSED = {
 def disk_trouble(error: BaseException) -> str | None:
     """What a user can do about an error of writing; None for any other error.
 
-    Args:
-        error: as raised; what caused it is looked at too.
-
     >>> disk_trouble(OSError(errno.ENOSPC, "No space left on device", "out/results.csv"))
     'out/results.csv: no space left on the disk. Free some, or write elsewhere (hydra.run.dir=…, \
 store=…, dataset.root=…); finished files are as they were, and the same command goes on.'

@@ -9,7 +9,7 @@ import hydra
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from uncal.configuration import CONFIG_DIR, exits_on_error, job_folder, quiet_libraries
+from uncal.configuration import CONFIG_DIR, exits_on_error, quiet_libraries
 from uncal.errors import ConfigurationError
 from uncal.settings.command_line import quote_arguments
 from uncal.settings.help_page import show_help
@@ -25,9 +25,6 @@ CALIBRATION: tuple[str, ...] = ("interval", "mcd", "window", "split", "decalibra
 def main(config: DictConfig) -> float:
     """Test weights with the settings that they were trained with, or as asked.
 
-    Args:
-        config: conf/evaluate.yaml with the command line's overrides.
-
     Returns:
         Mean over the DoF of mean absolute error / mean absolute decalibration.
     """
@@ -36,14 +33,13 @@ def main(config: DictConfig) -> float:
 
     from uncal.asked import with_settings_of
     from uncal.assembly import RECIPE, build_data, build_module, build_trainer, say_simulated
-    from uncal.callbacks.report import Report
-    from uncal.checkpoint import load_weights, read_recipe, save_weights
+    from uncal.checkpoint import read_recipe
     from uncal.memory import keep_freed_memory
-    from uncal.runs import finished_earlier, keep_results, make_record, remember_passes
+    from uncal.runs import finished_earlier, make_record, weights_to_report
     from uncal.settings.check import check_settings, refuse_values
     from uncal.weights.digest import digest_of_file
-    from uncal.weights.ingredients import data_ingredients
     from uncal.weights.obtain import Weights
+    from uncal.weights.store import CHECKPOINT
 
     keep_freed_memory()
     quiet_libraries()
@@ -66,31 +62,27 @@ def main(config: DictConfig) -> float:
         return earlier
     record.begin()
     other_data = run.dataset.name != recipe.dataset.name
-    if run.refit or not other_data:
-        same = not other_data and all(run[key] == recipe.get(key) for key in CALIBRATION)
-        load_weights(module, weights.path, calibrated=same)
-    else:
-        load_weights(module, weights.path, calibrated=True)
-        module.provenance.append(
+    calibrated = not other_data and all(run[key] == recipe[key] for key in CALIBRATION)
+    if other_data and not run.refit:
+        calibrated = True
+        module.run.notes.append(
             f"Intervals as calibrated on {recipe.dataset.label} data (refit=false): nothing "
             "guarantees their coverage here."
         )
-    module.provenance.append(weights.sentence())
-    if run.store is not None:
-        remember_passes(run, module, trainer, data_ingredients(run, data))
-    trainer.test(module, datamodule=data, verbose=False)
-    if trainer.is_global_zero:
-        save_weights(module, job_folder() / "checkpoints" / "best.ckpt")
-        keep_results(record, trainer, module, weights)
-    return Report.of(trainer).results.summary.mean_ratio
+    return weights_to_report(
+        run,
+        module,
+        trainer,
+        data,
+        weights,
+        record,
+        calibrated=calibrated,
+        checkpoint=CHECKPOINT,
+    )
 
 
 def chosen_weights(weights: str | None, ckpt: str | None) -> Path:
     """The file that the user means.
-
-    Args:
-        weights: name or path of shipped weights.
-        ckpt: path of a checkpoint.
 
     Raises:
         ConfigurationError: none, both, or no such file.

@@ -28,16 +28,7 @@ def progress_bar(
     leave: bool = True,
     quiet: bool = False,
 ) -> tqdm[Any]:
-    """A bar to be advanced by hand.
-
-    Args:
-        what: is going on.
-        total: steps in all.
-        done: steps done before.
-        unit: name of a step.
-        leave: whether the finished bar stays.
-        quiet: show nothing.
-    """
+    """A bar to be advanced by hand."""
     kind, interval = _kind(sys.stderr)
     return kind(
         desc=what, total=total, initial=done, unit=unit, leave=leave, mininterval=interval,
@@ -46,13 +37,7 @@ def progress_bar(
 
 
 def watched(items: Iterable[T], what: str, *, quiet: bool = False) -> Iterable[T]:
-    """Go through something and show how far it is.
-
-    Args:
-        items: to go through; with a length, if the time that remains is to be shown.
-        what: is going on.
-        quiet: show nothing.
-    """
+    """Go through something and show how far it is."""
     kind, interval = _kind(sys.stderr)
     bar: Iterable[T] = kind(
         items, desc=what, leave=False, mininterval=interval, delay=_delay(kind), disable=quiet
@@ -84,11 +69,7 @@ class LogLines(_Bar):
 
     @staticmethod
     def status_printer(file: Any) -> Callable[[str], None]:  # noqa: ANN401  # as tqdm has it
-        """What tqdm shows itself with.
-
-        Args:
-            file: the log.
-        """
+        """What tqdm shows itself with."""
 
         def show(text: str) -> None:
             if text.strip():
@@ -98,11 +79,7 @@ class LogLines(_Bar):
         return show
 
     def moveto(self, n: int) -> None:
-        """Stay: a log has no cursor.
-
-        Args:
-            n: lines to move by.
-        """
+        """Stay: a log has no cursor."""
 
     def close(self) -> None:
         """Say how it ended, if it is to stay or took long enough to say anything before."""

@@ -58,9 +58,6 @@ def project(points: Tensor, T_cam_lidar: Tensor, K: Tensor, size: tuple[int, int
         K: (B, 3, 3) camera matrices of the image, pixels.
         size: (H, W) of the image, pixels.
 
-    Returns:
-        Inverse depth and intensity images.
-
     >>> near, far = [4.0, 0.0, 0.0, 0.9], [8.0, 0.0, 0.0, 0.1]
     >>> camera_from_lidar = torch.tensor(
     ...     [[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])[None]

@@ -35,11 +35,7 @@ the files that a folder lacks. For the paper's Table 2 give a run with interval=
 
 @exits_on_error
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Read, compare, write, show.
-
-    Args:
-        arguments: of the command line; None takes the process's own.
-    """
+    """Read, compare, write, show."""
     options = parser().parse_args(arguments)
     # Here and not above: they take seconds, which --help has no use for.
     from uncal.comparison.gathering import gather

@@ -1,4 +1,4 @@
-"""What the entry points keep of a run: its record, its passes, and what an earlier one left."""
+"""What the entry points share: from weights to report, and what is kept of a run."""
 
 from __future__ import annotations
 
@@ -9,13 +9,15 @@ from pathlib import Path
 import lightning
 from omegaconf import DictConfig
 
-from uncal.callbacks.report import Report
+from uncal.checkpoint import load_weights, save_weights
 from uncal.configuration import in_multirun, job_folder, job_overrides
+from uncal.data.datamodule import CalibrationDataModule
+from uncal.errors import ConfigurationError
 from uncal.models.module import CalibrationModule
 from uncal.reporting.run_record import RunRecord, command_line
 from uncal.uncertainty.pass_memory import PassMemory
 from uncal.weights.digest import digest_of, digest_of_code
-from uncal.weights.ingredients import pass_ingredients
+from uncal.weights.ingredients import data_ingredients, pass_ingredients
 from uncal.weights.obtain import Weights
 
 log = logging.getLogger(__name__)
@@ -28,15 +30,7 @@ def make_record(
     trainer: lightning.Trainer,
     weights: Mapping[str, object],
 ) -> RunRecord:
-    """The record of a run that begins.
-
-    Args:
-        entry_point: such as uncal.train.
-        config: the run's configuration.
-        module: its network; has the settings that results depend on.
-        trainer: its trainer.
-        weights: what decides the weights.
-    """
+    """The record of a run that begins."""
     decisive = {
         "weights": dict(weights),
         "settings": module.recipe,
@@ -57,10 +51,6 @@ def make_record(
 def finished_earlier(record: RunRecord, retrain: bool) -> float | None:
     """What a job of a multirun returned when it ran before, if nothing has changed since.
 
-    Args:
-        record: of the job.
-        retrain: whether to run it anyway.
-
     Returns:
         The mean ratio; None if the job must run.
     """
@@ -71,27 +61,60 @@ def finished_earlier(record: RunRecord, retrain: bool) -> float | None:
     return float(str(earlier["mean_ratio"]))
 
 
-def remember_passes(
+def weights_to_report(
     config: DictConfig,
     module: CalibrationModule,
     trainer: lightning.Trainer,
-    shared: Mapping[str, object],
+    data: CalibrationDataModule,
+    weights: Weights,
+    record: RunRecord,
+    *,
+    calibrated: bool,
+    checkpoint: str,
+    shared: Mapping[str, object] | None = None,
+) -> float:
+    """The way that every run goes from weights to tables: load, calibrate, test, report, record.
+
+    Returns:
+        Mean over the DoF of mean absolute error / mean absolute decalibration.
+
+    Raises:
+        ConfigurationError: there is no report among the callbacks.
+    """
+    if weights.learnt:
+        load_weights(module, weights.path, calibrated=calibrated)
+    module.run.notes.append(weights.sentence())
+    _remember_passes(config, module, trainer, data, shared)
+    trainer.test(module, datamodule=data, verbose=False)
+    if module.run.results is None:
+        raise ConfigurationError("callbacks.report is missing: the run has no result without it")
+    mean_ratio = module.run.results.summary.mean_ratio
+    if trainer.is_global_zero:
+        own = job_folder() / "checkpoints" / checkpoint
+        fresh = weights.learnt and not weights.reused
+        if not (fresh and own.is_file() and own.samefile(weights.path)):
+            save_weights(module, own)
+        _keep_results(record, module, weights, mean_ratio)
+    return mean_ratio
+
+
+def _remember_passes(
+    config: DictConfig,
+    module: CalibrationModule,
+    trainer: lightning.Trainer,
+    data: CalibrationDataModule,
+    shared: Mapping[str, object] | None,
 ) -> None:
     """Keep the stochastic passes of trained weights, and use those that are kept already.
 
     Not with several processes, whose frames differ, nor with fixed masks, which a network must
     meet itself before it can tell that they fit, nor without parameters, where nothing is random.
-
-    Args:
-        config: the run's configuration.
-        module: with its weights.
-        trainer: its trainer.
-        shared: :func:`uncal.weights.ingredients.data_ingredients`.
     """
     if not module.learns or config.store is None:
         return
     if trainer.world_size > 1 or module.masks is not None:
         return
+    shared = shared or data_ingredients(config, data)
     named = digest_of(pass_ingredients(config, module, trainer, shared))
     memory = PassMemory(Path(config.store) / "passes" / named, config.mcd.passes)
     if config.get("retrain"):
@@ -99,17 +122,10 @@ def remember_passes(
     module.remember(memory)
 
 
-def keep_results(
-    record: RunRecord, trainer: lightning.Trainer, module: CalibrationModule, weights: Weights
+def _keep_results(
+    record: RunRecord, module: CalibrationModule, weights: Weights, mean_ratio: float
 ) -> None:
-    """Write the record of a run that has its results, and the passes that are new.
-
-    Args:
-        record: begun with the run.
-        trainer: after ``test``.
-        module: tested.
-        weights: the run's.
-    """
+    """Write the record of a run that has its results, and the passes that are new."""
     passes = {}
     if module.memory is not None:
         module.memory.save()
@@ -117,7 +133,7 @@ def keep_results(
         passes = {split: module.memory.origin(split) for split in splits}
     trained = weights.trained
     record.write(
-        mean_ratio=Report.of(trainer).results.summary.mean_ratio,
+        mean_ratio=mean_ratio,
         weights={
             "fingerprint": weights.fingerprint,
             "reused": weights.reused,

@@ -30,9 +30,6 @@ log = logging.getLogger(__name__)
 def main(config: DictConfig) -> float:
     """One run, from recordings to the paper's table.
 
-    Args:
-        config: conf/train.yaml with its groups and the command line's overrides.
-
     Returns:
         Mean over the DoF of mean absolute error / mean absolute decalibration on the test split;
         a sweeper minimises it.
@@ -41,10 +38,9 @@ def main(config: DictConfig) -> float:
     import lightning
 
     from uncal.assembly import build_data, build_module, build_trainer, say_simulated
-    from uncal.callbacks.report import Report
-    from uncal.checkpoint import check_start, load_weights, read_recipe, save_weights, start_from
+    from uncal.checkpoint import check_start, last_checkpoint, read_recipe, start_from
     from uncal.memory import keep_freed_memory
-    from uncal.runs import finished_earlier, keep_results, make_record, remember_passes
+    from uncal.runs import finished_earlier, make_record, weights_to_report
     from uncal.settings.check import check_settings
     from uncal.weights.ingredients import data_ingredients, training_ingredients
     from uncal.weights.kept import stays_trained
@@ -90,29 +86,23 @@ def main(config: DictConfig) -> float:
             retrain=config.retrain,
         )
     with stays_trained(weights.path):
-        if weights.learnt:
-            load_weights(
-                module, weights.path, calibrated=read_recipe(weights.path) == module.recipe
-            )
-        module.provenance.append(weights.sentence())
-        remember_passes(config, module, trainer, shared)
-
-        trainer.test(module, datamodule=data, verbose=False)
-        if trainer.is_global_zero:
-            own = job_folder() / "checkpoints" / weights.path.name
-            if not weights.learnt or not own.is_file() or not own.samefile(weights.path):
-                save_weights(module, own)
-            keep_results(record, trainer, module, weights)
-    return Report.of(trainer).results.summary.mean_ratio
+        return weights_to_report(
+            config,
+            module,
+            trainer,
+            data,
+            weights,
+            record,
+            calibrated=weights.learnt and read_recipe(weights.path) == module.recipe,
+            checkpoint=weights.path.name,
+            shared=shared,
+        )
 
 
 def untrained(start: str | None) -> Weights:
     """What stands for the weights of a model without parameters.
 
     Its checkpoint is written after the test, with the calibrator, for :mod:`uncal.evaluate`.
-
-    Args:
-        start: a checkpoint to go on from, which makes no sense here.
 
     Raises:
         ConfigurationError: there is one.
@@ -137,16 +127,6 @@ def fit(
     continuation: str,
 ) -> Path:
     """Train, from nothing or from a checkpoint.
-
-    Args:
-        trainer: with the callbacks that keep checkpoints.
-        module: the network.
-        data: the recordings.
-        start: a checkpoint to go on from.
-        continuation: how a user goes on with an interrupted training, for the message.
-
-    Returns:
-        The checkpoint that validated best.
 
     Raises:
         UncalError: interrupted, stopped by an error, or no checkpoint was written.
@@ -183,16 +163,12 @@ def fit_or_resume(
 ) -> Path:
     """Train, or go on with an interrupted training in the folder that has its checkpoints.
 
-    Args:
-        trainer: with the callbacks that keep checkpoints.
-        module: the network.
-        data: the recordings.
-        start: the last checkpoint of an interrupted training.
-
     Returns:
         The checkpoint that validated best, before or after the interruption.
     """
     from lightning.pytorch.callbacks import ModelCheckpoint
+
+    from uncal.checkpoint import last_checkpoint
 
     if start is not None:
         for callback in trainer.checkpoint_callbacks:
@@ -207,16 +183,6 @@ def fit_or_resume(
         start,
         f"the same command, which finds {last} (retrain=true would start anew)",
     )
-
-
-def last_checkpoint(trainer: lightning.Trainer) -> Path | None:
-    """Where a trainer keeps what it has after every epoch; None if it does not."""
-    from lightning.pytorch.callbacks import ModelCheckpoint
-
-    for callback in trainer.checkpoint_callbacks:
-        if isinstance(callback, ModelCheckpoint) and callback.filename == "last":
-            return Path(str(callback.dirpath)) / "last.ckpt"
-    return None
 
 
 if __name__ == "__main__":

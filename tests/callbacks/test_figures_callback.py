@@ -47,7 +47,7 @@ def _stems(run: Path) -> dict[str, list[str]]:
 def test_figures_become_files_and_go_to_tensorboard_only(run: Path) -> None:
     board = TensorBoardLogger(run, name="", version="")
     callback = Figures(str(run), "simulated")
-    callback.on_test_end(trainer(CSVLogger(run), board), lightning.LightningModule())
+    callback.teardown(trainer(CSVLogger(run), board), lightning.LightningModule(), "test")
     board.finalize("success")
     names = ["calibration_curves", "ordered_intervals", "width_against_error"]
     assert _stems(run) == {"png": names, "pdf": names}
@@ -59,7 +59,8 @@ def test_figures_become_files_and_go_to_tensorboard_only(run: Path) -> None:
 
 
 def test_other_processes_draw_nothing(run: Path) -> None:
-    Figures(str(run), "simulated").on_test_end(trainer(zero=False), lightning.LightningModule())
+    other = trainer(zero=False)
+    Figures(str(run), "simulated").teardown(other, lightning.LightningModule(), "test")
     assert not (run / "figures").exists()
 
 
@@ -69,7 +70,7 @@ def test_a_figure_that_fails_is_named_and_the_others_are_drawn(
     damaged = PREDICTIONS.replace("lower_90", "lower_x")
     (run / "predictions.csv").write_text(damaged, encoding="utf-8")
     with caplog.at_level(logging.ERROR):
-        Figures(str(run), "simulated").on_test_end(trainer(), lightning.LightningModule())
+        Figures(str(run), "simulated").teardown(trainer(), lightning.LightningModule(), "test")
     assert _stems(run)["png"] == ["calibration_curves"]
     assert [record.getMessage().split(":")[0] for record in caplog.records] == [
         "figure ordered_intervals was not drawn",
@@ -82,10 +83,10 @@ def test_a_folder_that_cannot_be_written_costs_no_run(
     run: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     (run / "figures").write_text("in the way", encoding="utf-8")
-    Figures(str(run), "simulated").on_test_end(trainer(), lightning.LightningModule())
+    Figures(str(run), "simulated").teardown(trainer(), lightning.LightningModule(), "test")
     assert len([record for record in caplog.records if record.levelno == logging.ERROR]) == 3
 
 
 def test_a_run_without_tables_has_no_figures(tmp_path: Path) -> None:
-    Figures(str(tmp_path), "simulated").on_test_end(trainer(), lightning.LightningModule())
+    Figures(str(tmp_path), "simulated").teardown(trainer(), lightning.LightningModule(), "test")
     assert list(tmp_path.iterdir()) == []

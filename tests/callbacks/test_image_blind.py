@@ -24,6 +24,7 @@ from uncal.geometry import DOF_NAMES
 from uncal.models.estimator import PoseEstimator
 from uncal.models.module import CalibrationModule
 from uncal.recordings.kitti import KittiRaw
+from uncal.run_state import RunState
 from uncal.uncertainty import ConformalCalibrator, MCDropout
 
 # So few frames make infinite intervals.
@@ -51,7 +52,7 @@ def run_test(
     channels: slice,
     *callbacks: lightning.Callback,
     logger: Logger | None = None,
-) -> Report:
+) -> RunState:
     torch.manual_seed(0)
     network = Reader(channels)
     network(torch.ones(1, 5, 4, 4))
@@ -95,10 +96,10 @@ def run_test(
         enable_checkpointing=False,
         enable_progress_bar=False,
         enable_model_summary=False,
-        callbacks=[UncertaintyCalibration(levels=[0.5]), *callbacks, report],
+        callbacks=[report, *callbacks, UncertaintyCalibration(levels=[0.5])],
     )
     trainer.test(module, datamodule=data, verbose=False)
-    return report
+    return module.run
 
 
 def rows(path: Path) -> list[dict[str, str]]:
@@ -109,10 +110,9 @@ def rows(path: Path) -> list[dict[str, str]]:
 def test_the_control_is_a_row_of_the_tables(
     kitti_raw_root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    control = ImageBlindControl()
-    report = run_test(kitti_raw_root, tmp_path, slice(0, 3), control)
-    assert control.control is not None
-    assert len(control.control.place) == 4
+    state = run_test(kitti_raw_root, tmp_path, slice(0, 3), ImageBlindControl())
+    assert state.control is not None
+    assert len(state.control.place) == 4
     read = rows(tmp_path / "control.csv")
     assert [row["dof"] for row in read] == list(DOF_NAMES)
     for row, result in zip(read, rows(tmp_path / "results.csv"), strict=True):
@@ -121,8 +121,9 @@ def test_the_control_is_a_row_of_the_tables(
         assert row["n"] == "4"
     assert [row["mae_single"] for row in read] != [row["mae_blind"] for row in read]
     predictions = rows(tmp_path / "predictions.csv")
-    assert [row["frame"] for row in predictions[::6]] == [str(f) for f in control.control.frames]
-    assert report.results.control is not None
+    assert [row["frame"] for row in predictions[::6]] == [str(f) for f in state.control.frames]
+    assert state.results is not None
+    assert state.results.control is not None
     shown = capsys.readouterr().out
     assert "camera contributes (%)" in shown
     assert str(tmp_path / "control.csv") in shown
@@ -131,11 +132,12 @@ def test_the_control_is_a_row_of_the_tables(
 
 def test_the_metrics_of_the_table_are_logged(kitti_raw_root: Path, tmp_path: Path) -> None:
     logger = CSVLogger(tmp_path, name="log", version="")
-    report = run_test(kitti_raw_root, tmp_path, slice(0, 3), logger=logger)
+    state = run_test(kitti_raw_root, tmp_path, slice(0, 3), logger=logger)
+    assert state.results is not None
     logger.save()
     (logged,) = rows(tmp_path / "log" / "metrics.csv")
     assert len([name for name in logged if name.startswith("test ")]) == 18
-    for _, row in report.results.per_dof.iterrows():
+    for _, row in state.results.per_dof.iterrows():
         dof, unit = row["dof"], row["unit"]
         for name, column in (
             (f"test PICP 50% (%)/{dof}", "picp"),
@@ -165,14 +167,13 @@ def test_the_control_changes_no_other_number(kitti_raw_root: Path, tmp_path: Pat
 
 
 def test_one_readable_frame_has_a_table_without_it(kitti_raw_root: Path, tmp_path: Path) -> None:
-    control = ImageBlindControl()
-    run_test(kitti_raw_root, tmp_path / "first", slice(0, 5), control)
-    assert control.control is not None
-    for frame in control.control.frames[1:]:
+    state = run_test(kitti_raw_root, tmp_path / "first", slice(0, 5), ImageBlindControl())
+    assert state.control is not None
+    for frame in state.control.frames[1:]:
         (scan,) = kitti_raw_root.rglob(f"{frame.drive}/velodyne_points/data/{frame.index:010d}.bin")
         scan.write_bytes(scan.read_bytes()[:-5])
-    run_test(kitti_raw_root, tmp_path / "second", slice(0, 5), control)
-    assert control.control is None
+    state = run_test(kitti_raw_root, tmp_path / "second", slice(0, 5), ImageBlindControl())
+    assert state.control is None
     assert not (tmp_path / "second" / "control.csv").exists()
     assert {row["n_test"] for row in rows(tmp_path / "second" / "results.csv")} == {"1"}
     assert len(rows(tmp_path / "second" / "skipped.csv")) == 3

@@ -77,7 +77,7 @@ def _module(data: CalibrationDataModule) -> CalibrationModule:
     frames = data.splits["test"]
     target = torch.stack([RANGE.draw_for(5, str(frame)) for frame in frames])
     sigma = math.radians(0.01) * torch.arange(1.0, len(frames) + 1)
-    module.tested = SplitPrediction(
+    module.run.tested = SplitPrediction(
         place=torch.arange(len(frames)),
         mean=target + math.radians(0.1),
         std=sigma[:, None].expand(-1, 6),
@@ -102,8 +102,8 @@ def test_three_pictures_from_widest_to_narrowest(
 ) -> None:
     data = _data(kitti_raw_root)
     module = _module(data)
-    assert module.tested is not None
-    n = len(module.tested.place)
+    assert module.run.tested is not None
+    n = len(module.run.tested.place)
     assert n >= 3
     asked: list[dict[str, NDArray[np.float64]]] = []
 
@@ -139,10 +139,10 @@ def test_three_pictures_from_widest_to_narrowest(
     (sample,) = data.datasets["test"][n - 1]
     assert isinstance(sample, Sample)
     T_true = sample.T_cam_lidar.double()
-    T_init = decalibrate(T_true, module.tested.target[n - 1].double())
+    T_init = decalibrate(T_true, module.run.tested.target[n - 1].double())
     for caption, pitch in zip(widest, (-0.1 * n, 0.0, 0.1 * n), strict=True):
         pose = matrix_to_pose(invert(torch.from_numpy(asked[0][caption])) @ T_init)
-        expected = module.tested.mean[n - 1].double()
+        expected = module.run.tested.mean[n - 1].double()
         expected[4] += math.radians(pitch)
         assert pose.tolist() == pytest.approx(expected.tolist(), abs=1e-6)
 
@@ -188,7 +188,7 @@ def test_nothing_is_drawn_without_finite_intervals_or_elsewhere(
     callback.on_test_end(_trainer(data, zero=False), _module(data))
     callback.on_test_end(_trainer(None), _module(data))
     untested = _module(data)
-    untested.tested = None
+    untested.run.tested = None
     callback.on_test_end(_trainer(data), untested)
     assert not folder.exists()
 

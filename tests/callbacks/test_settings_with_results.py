@@ -17,23 +17,21 @@ from tensorboard.plugins.hparams.plugin_data_pb2 import (  # type: ignore[import
     HParamsPluginData,
 )
 
-from uncal.callbacks.report import Report
 from uncal.callbacks.settings_with_results import SettingsWithResults
 from uncal.models.module import CalibrationModule
+from uncal.run_state import RunState
 
 
 def test_settings_and_result_are_in_the_events(tmp_path: Path) -> None:
-    report = Report(str(tmp_path), [0.9], "simulated")
-    report.results = cast("object", SimpleNamespace(summary=SimpleNamespace(mean_ratio=0.5)))  # type: ignore[assignment]
     module = create_autospec(CalibrationModule, instance=True)
+    module.run = SimpleNamespace(results=SimpleNamespace(summary=SimpleNamespace(mean_ratio=0.5)))
     module.recipe = {"seed": 0, "mcd": {"passes": 25, "layers": None}}
     logger = TensorBoardLogger(str(tmp_path), name="", version="")
     trainer = SimpleNamespace(
         is_global_zero=True,
-        callbacks=[report],
         loggers=[CSVLogger(str(tmp_path / "csv")), logger],
     )
-    SettingsWithResults().on_test_end(cast(Trainer, trainer), module)
+    SettingsWithResults().teardown(cast(Trainer, trainer), module, "test")
     logger.finalize("success")
     events = EventAccumulator(str(tmp_path))
     events.Reload()
@@ -47,6 +45,7 @@ def test_settings_and_result_are_in_the_events(tmp_path: Path) -> None:
 
 def test_without_a_result_nothing_is_logged(tmp_path: Path) -> None:
     module = create_autospec(CalibrationModule, instance=True)
-    trainer = SimpleNamespace(is_global_zero=True, callbacks=[], loggers=[None])
-    SettingsWithResults().on_test_end(cast(Trainer, trainer), module)
+    module.run = RunState()
+    trainer = SimpleNamespace(is_global_zero=True, loggers=[None])
+    SettingsWithResults().teardown(cast(Trainer, trainer), module, "test")
     assert not list(tmp_path.iterdir())

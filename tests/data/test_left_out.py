@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from uncal.data.left_out import cap_training, put_rigs_away
+from uncal.data.left_out import cap_training, hold_out_rigs
 from uncal.errors import ConfigurationError
 from uncal.recordings.frame import FrameId
 
@@ -23,7 +23,7 @@ def rigs(frames: list[FrameId]) -> set[str]:
 )
 def test_whole_rigs_are_put_away(n_rigs: int, share: float, expected: int) -> None:
     frames = recording(n_rigs)
-    kept, away = put_rigs_away(frames, share, seed=0)
+    kept, away = hold_out_rigs(frames, share, seed=0)
     assert len(rigs(away)) == expected
     assert rigs(kept).isdisjoint(rigs(away))
     assert sorted(map(str, [*kept, *away])) == sorted(map(str, frames))
@@ -31,14 +31,14 @@ def test_whole_rigs_are_put_away(n_rigs: int, share: float, expected: int) -> No
 
 def test_the_order_of_the_frames_does_not_matter_and_the_seed_does() -> None:
     frames = recording(20)
-    _, away = put_rigs_away(frames, 0.3, seed=1)
-    assert put_rigs_away(frames[::-1], 0.3, seed=1)[1] == away
-    assert put_rigs_away(frames, 0.3, seed=2)[1] != away
+    _, away = hold_out_rigs(frames, 0.3, seed=1)
+    assert hold_out_rigs(frames[::-1], 0.3, seed=1)[1] == away
+    assert hold_out_rigs(frames, 0.3, seed=2)[1] != away
 
 
 def test_known_choices_stay_as_they_are() -> None:
     # A change of these would move test frames of published runs into training.
-    _, away = put_rigs_away(recording(10), 0.3, seed=0)
+    _, away = hold_out_rigs(recording(10), 0.3, seed=0)
     assert rigs(away) == {"rig3", "rig4", "rig7"}
     chosen = cap_training([FrameId("rig", "drive", index) for index in range(20)], 6, seed=0)
     assert [frame.index for frame in chosen] == [1, 4, 5, 6, 9, 16]
@@ -48,7 +48,7 @@ def test_every_rig_has_its_turn() -> None:
     # 200 seeds, 2 of 5 rigs each: 80 ± 7 turns per rig.
     turns = dict.fromkeys(rigs(recording(5)), 0)
     for seed in range(200):
-        for rig in rigs(put_rigs_away(recording(5, 1), 0.4, seed)[1]):
+        for rig in rigs(hold_out_rigs(recording(5, 1), 0.4, seed)[1]):
             turns[rig] += 1
     assert sum(turns.values()) == 400
     assert all(50 < n < 110 for n in turns.values())
@@ -59,16 +59,16 @@ def test_a_share_out_of_range(share: float) -> None:
     with pytest.raises(
         ConfigurationError, match=rf"split\.unseen_rigs={share}: .*60 rig.*below 1, say 0\.2"
     ):
-        put_rigs_away(recording(60), share, seed=0)
+        hold_out_rigs(recording(60), share, seed=0)
 
 
 @pytest.mark.parametrize(("n_rigs", "share"), [(1, 0.2), (5, 0.95)])
 def test_a_rig_must_remain(n_rigs: int, share: float) -> None:
     with pytest.raises(
         ConfigurationError,
-        match=rf"unseen_rigs={share} puts {n_rigs} of {n_rigs} rig.*smaller share, add recordings",
+        match=rf"unseen_rigs={share} holds out {n_rigs} of {n_rigs} rig.*smaller share, add",
     ):
-        put_rigs_away(recording(n_rigs), share, seed=0)
+        hold_out_rigs(recording(n_rigs), share, seed=0)
 
 
 def test_exactly_so_many_training_frames() -> None:

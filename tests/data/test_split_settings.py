@@ -78,12 +78,12 @@ def test_settings_left_alone_split_as_before_them() -> None:
 
 def test_notes_say_what_was_done_and_what_the_guarantee_is_worth() -> None:
     by_rig, by_drive = UNSEEN.split(FRAMES), replace(UNSEEN, by="drive").split(FRAMES)
-    said = "The test frames are those of 4 rig(s) put away before the split (split.test=unseen)."
+    said = "The test frames are those of 4 rig(s) held out before the split (split.test=unseen)."
     assert by_rig.note == said
     assert by_drive.note.startswith(said)
     assert "on rigs that training has seen" in by_drive.note
     own = replace(UNSEEN, test="own").split(FRAMES)
-    assert "4 rig(s) (96 frames) were put away before the split and are not used" in own.note
+    assert "4 rig(s) (96 frames) were held out before the split and are not used" in own.note
 
 
 def test_notes_of_blocks() -> None:
@@ -103,8 +103,8 @@ def test_notes_of_blocks() -> None:
         ({"test": "both"}, r"split\.test=both: expected own .* or unseen"),
         ({"unseen_rigs": 0.0}, r"split\.test=unseen .*unseen_rigs=0 .*say 0\.2.*split\.test=own"),
         ({"unseen_rigs": 25}, r"unseen_rigs=25: expected a share of the 20 rig"),
-        ({"unseen_rigs": 0.98}, r"puts 20 of 20 rig\(s\) away"),
-        ({"unseen_rigs": 0.9}, r"at least 4 rigs.* there are 2 .*had put 18 rig\(s\) away before"),
+        ({"unseen_rigs": 0.98}, r"holds out 20 of 20 rig\(s\)"),
+        ({"unseen_rigs": 0.9}, r"at least 4 rigs.* there are 2 .*had held out 18 rig\(s\) before"),
         ({"by": "official", "official": OFFICIAL}, r"unseen_rigs=0\.2, but split\.by=official"),
         ({"by": "block", "block_frames": None}, r"split\.block_frames=None"),
         ({"by": "sequence"}, r"split\.by is 'sequence', expected one of frame, block, drive, rig"),

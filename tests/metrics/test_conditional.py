@@ -5,14 +5,11 @@ import pytest
 import torch
 from mapie.metrics.regression import (  # type: ignore[import-untyped]
     regression_ssc,
-    regression_ssc_score,
 )
 
 from uncal.metrics.conditional import (
-    BinnedCoverage,
     coverage_by_bin,
     quantile_edges,
-    worst_bin_coverage,
 )
 from uncal.metrics.functional import covered, width
 
@@ -25,7 +22,6 @@ def test_by_hand() -> None:
     assert binned.edges.tolist() == [[3.0, 3.0], [5.0, 5.0]]
     assert binned.counts.tolist() == [[2, 2]] * 3
     assert binned.coverage.tolist() == [[1.0, 1.0], [0.0, 1.0], [0.5, 0.5]]
-    assert worst_bin_coverage(binned).tolist() == [0.0, 0.5]
 
 
 def test_one_value_for_all_outputs_and_given_edges() -> None:
@@ -49,9 +45,6 @@ def test_against_mapie(bins: int) -> None:
     pairs = np.stack([lower, upper], axis=1)[:, :, None]
     expected = regression_ssc(target, pairs, num_bins=bins)[0]
     np.testing.assert_allclose(binned.coverage[:, 0].numpy(), expected, rtol=1e-6)
-    assert worst_bin_coverage(binned).item() == pytest.approx(
-        regression_ssc_score(target, pairs, num_bins=bins).item()
-    )
 
 
 def test_ties_are_never_split() -> None:
@@ -59,7 +52,7 @@ def test_ties_are_never_split() -> None:
     constant = coverage_by_bin(inside, torch.full((4,), 7.0), bins=3)
     assert constant.counts.flatten().tolist() == [0, 0, 4]
     assert constant.coverage[:2].isnan().all()
-    assert worst_bin_coverage(constant).item() == 0.5
+    assert constant.coverage[2].item() == 0.5
     halves = coverage_by_bin(inside, torch.tensor([0.0, 0.0, 0.0, 1.0]), bins=2)
     assert halves.counts.flatten().tolist() == [0, 4]  # the median 0 opens the upper bin
     thirds = coverage_by_bin(inside, torch.tensor([0.0, 0.0, 1.0, 1.0]), torch.tensor([1.0]))
@@ -71,8 +64,6 @@ def test_fewer_samples_than_bins() -> None:
     assert edges.flatten().tolist() == [1.0, 1.0, 2.0, 2.0]
     binned = coverage_by_bin(torch.tensor([[True], [False]]), torch.tensor([2.0, 1.0]), bins=5)
     assert binned.counts.flatten().tolist() == [0, 0, 1, 0, 1]
-    assert worst_bin_coverage(binned, min_count=1).item() == 0.0
-    assert worst_bin_coverage(binned, min_count=2).isnan().all()
 
 
 def test_infinite_values_have_a_bin() -> None:
@@ -102,5 +93,3 @@ def test_refusals() -> None:
     ):
         with pytest.raises(ValueError, match=message):
             coverage_by_bin(*bad)
-    with pytest.raises(ValueError, match="min_count = 0"):
-        worst_bin_coverage(BinnedCoverage(values, values, values), min_count=0)

@@ -2,13 +2,12 @@ from __future__ import annotations
 
 import pytest
 import torch
-from torch import Tensor, nn
+from torch import nn
 
 from uncal.uncertainty import (
     AbsoluteCalibrator,
     ConformalCalibrator,
     MondrianCalibrator,
-    NotCalibratedError,
     PredictorIdentity,
     PredictorMismatchError,
 )
@@ -23,33 +22,12 @@ def _fitted(identity: PredictorIdentity | None = IDENTITY) -> ConformalCalibrato
     return ConformalCalibrator().fit(zeros, zeros + 1, target, identity=identity)
 
 
-def _old_state(prefix: str = "") -> dict[str, Tensor]:
-    """As saved by the version that knew no joint scores, masks or kinds."""
-    new = {"joint_scores", "masks_digest", "written_by", "scales"}
-    state = _fitted().state_dict()
-    return {prefix + name: value for name, value in state.items() if name not in new}
-
-
-def test_old_state_gives_its_intervals_and_says_what_it_lacks() -> None:
-    calibrator = ConformalCalibrator()
-    calibrator.load_state_dict(_old_state())
-    assert torch.equal(calibrator.quantile(0.8), _fitted().quantile(0.8))
-    assert calibrator.identity == IDENTITY
-    with pytest.raises(NotCalibratedError, match=r"before joint scores were kept: fit"):
-        calibrator.joint_quantile(0.8)
-    zeros = torch.zeros(1, 2)
-    with pytest.raises(NotCalibratedError, match=r'or ask .* method="bonferroni"'):
-        calibrator.predict_joint(zeros, zeros + 1, 0.8)
-    box = calibrator.predict_joint(zeros, zeros + 1, 0.8, method="bonferroni")
-    assert torch.equal(box.upper[0], calibrator.quantile(0.9))
-
-
-def test_old_state_replaces_a_newer_fit_in_a_parent() -> None:
+def test_a_state_replaces_a_newer_fit_in_a_parent() -> None:
     parent = nn.ModuleDict({"calibrator": _fitted(FIXED)})
-    parent.load_state_dict(_old_state("calibrator."))
+    state = _fitted().state_dict()
+    parent.load_state_dict({f"calibrator.{name}": value for name, value in state.items()})
     calibrator = parent["calibrator"]
     assert isinstance(calibrator, ConformalCalibrator)
-    assert len(calibrator.joint_scores) == 0
     assert calibrator.identity == IDENTITY
     assert calibrator.fit(torch.zeros(9, 2), torch.ones(9, 2), torch.ones(9, 2)).is_fitted
     assert len(calibrator.joint_scores) == 9
@@ -67,7 +45,7 @@ def test_another_kind_of_calibrator_is_refused(strict: bool) -> None:
     with pytest.raises(RuntimeError, match=message):
         other.load_state_dict(_fitted().state_dict(), strict=strict)
     with pytest.raises(RuntimeError, match='is "mondrian"'):
-        MondrianCalibrator().load_state_dict(_old_state(), strict=strict)
+        MondrianCalibrator().load_state_dict(_fitted().state_dict(), strict=strict)
     assert not other.is_fitted
 
 

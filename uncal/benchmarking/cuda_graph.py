@@ -10,10 +10,6 @@ import torch
 def graphed(function: Callable[[], object], warm_up: int = 3) -> Callable[[], object]:
     """Capture what a function does on the GPU; calling the result does it again, launch-free.
 
-    Args:
-        function: uses the same tensors in every call and waits for none of them.
-        warm_up: calls before the capture, in which libraries choose their kernels.
-
     Returns:
         Replays the graph and returns the captured output, which every replay overwrites.
     """

@@ -13,9 +13,6 @@ ORDINALS = ("first", "second", "third", "fourth", "fifth")
 def placements(network: nn.Module) -> dict[str, list[str]]:
     """Dropout layers from each transformer stage on, and in the head only.
 
-    Args:
-        network: with MobileViT stages or without; without any, all layers are the one placement.
-
     Returns:
         A description → names of the layers, for ``MCDropout(select=…)``; the earliest cut first.
     """

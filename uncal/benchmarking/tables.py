@@ -21,18 +21,7 @@ BLUE, ORANGE = "#0072B2", "#D55E00"
 def write_latency(
     folder: Path, rows: Sequence[LatencyRow], passes: int, rounds: int, where: str
 ) -> str:
-    """Write ``latency.csv`` and ``latency.md``.
-
-    Args:
-        folder: of the run.
-        rows: what was measured.
-        passes: N.
-        rounds: of which the medians were taken.
-        where: the machine, in words.
-
-    Returns:
-        The markdown.
-    """
+    """Write ``latency.csv`` and ``latency.md``."""
     _write_csv(folder / "latency.csv", rows)
     lines = [
         f"# {passes} stochastic passes in units of one deterministic pass",
@@ -56,18 +45,7 @@ def write_latency(
 
 
 def write_trade(folder: Path, rows: Sequence[TradeRow], label: str, ckpt: str, where: str) -> str:
-    """Write ``trade.csv``, ``trade.md`` and ``trade.png``.
-
-    Args:
-        folder: of the run.
-        rows: what was measured.
-        label: what the data are, such as "simulated".
-        ckpt: the checkpoint.
-        where: the machine, in words.
-
-    Returns:
-        The markdown.
-    """
+    """Write ``trade.csv``, ``trade.md`` and ``trade.png``."""
     _write_csv(folder / "trade.csv", rows)
     lines = [
         f"# Where dropout stands, on {label} data",

@@ -29,14 +29,14 @@ class TradeRow:
 
     Attributes:
         dropout: where it is on.
-        level: coverage asked for, percent.
+        level: nominal coverage, percent.
         milliseconds: median for one frame.
         ratio: median of that time / one deterministic pass beside it.
         is_translation: interval score, mean over X, Y, Z, cm.
         is_rotation: interval score, mean over roll, pitch, yaw, degrees.
         mpiw_translation: interval width, cm.
         mpiw_rotation: interval width, degrees.
-        picp: coverage found, mean over the DoF, percent.
+        picp: empirical coverage, mean over the DoF, percent.
         picp_low: lowest of the six.
         picp_high: highest of the six.
         mae_translation: mean absolute error of the mean of the passes, cm.
@@ -62,12 +62,6 @@ def measure_trade(
     ckpt: Path, data_root: str | None, rounds: int, device: torch.device
 ) -> tuple[list[TradeRow], str]:
     """Calibrate and test the same weights with dropout in fewer and fewer layers.
-
-    Args:
-        ckpt: a checkpoint of ``uncal.train``, trained with dropout in all of them.
-        data_root: where the recordings are now, or None.
-        rounds: of the timing.
-        device: where to run.
 
     Returns:
         Rows by placement and level, and what the data are.
@@ -116,11 +110,8 @@ def measure_trade(
         module.fit_calibrator(predict_split(trainer, module, data, split), data.named(split))
         test = predict_split(trainer, module, data, "test")
         error = ((test.mean - test.target).abs().mean(0) * scale).tolist()
-        groups = test.groups(data.named("test"), module.groups)
         for level in map(float, run.interval.levels):
-            made = module.calibrator.predict(
-                test.mean, test.std, level, groups=groups, bounds=test.bounds
-            )
+            made = module.intervals(test, data.named("test"), level)
             alpha = float(miscoverage(level))
             score = interval_score(made.lower, made.upper, test.target, alpha) * scale
             width = mpiw(made.lower, made.upper) * scale

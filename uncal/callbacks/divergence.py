@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 
 import lightning
 import torch
 from lightning import LightningModule, Trainer
-from lightning.pytorch.callbacks import ModelCheckpoint
 from torch import Tensor
 
+from uncal.checkpoint import last_checkpoint
 from uncal.errors import DivergenceError
 
 
@@ -38,18 +37,15 @@ class StopAtDivergence(lightning.Callback):
             return
         groups = [group for optimizer in trainer.optimizers for group in optimizer.param_groups]
         rate = max((group["lr"] for group in groups), default=float("nan"))
+        last = last_checkpoint(trainer)
+        kept = (
+            "No epoch had ended, so that there is no checkpoint."
+            if last is None or not last.is_file()
+            else f"The last good checkpoint is {last}."
+        )
         raise DivergenceError(
             f"the training diverges: the loss is {float(loss.detach().float().mean())} at step "
             f"{trainer.global_step} (epoch {trainer.current_epoch + 1} of {trainer.max_epochs}), "
             f"learning rate {rate:.3g} there. Lower "
-            f"model.optimization.optimizer.lr, or trainer.gradient_clip_val. {_last_good(trainer)}"
+            f"model.optimization.optimizer.lr, or trainer.gradient_clip_val. {kept}"
         )
-
-
-def _last_good(trainer: Trainer) -> str:
-    for callback in trainer.checkpoint_callbacks:
-        if isinstance(callback, ModelCheckpoint) and callback.filename == "last":
-            path = Path(str(callback.dirpath)) / "last.ckpt"
-            if path.is_file():
-                return f"The last good checkpoint is {path}."
-    return "No epoch had ended, so that there is no checkpoint."

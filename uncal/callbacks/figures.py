@@ -20,7 +20,7 @@ log = logging.getLogger(__name__)
 
 
 class Figures(lightning.Callback):
-    """Draws all figures of a run when its test ends, from the files of ``report`` before it.
+    """Draws all figures of a run after its test, from the files of ``report``.
 
     Args:
         folder: the run's folder; the figures go to ``figures`` in it.
@@ -31,9 +31,9 @@ class Figures(lightning.Callback):
         self.folder = Path(folder)
         self.label = label
 
-    def on_test_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+    def teardown(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:
         """Draw, write, log; a figure that fails is named, and the others and the run go on."""
-        if not trainer.is_global_zero:
+        if stage != "test" or not trainer.is_global_zero:
             return
         caveat = None
         if isinstance(pl_module, CalibrationModule):

@@ -5,29 +5,12 @@ from __future__ import annotations
 import lightning
 from lightning import LightningModule, Trainer
 
-from uncal.data.datamodule import CalibrationDataModule
-from uncal.errors import ConfigurationError
-from uncal.models.control import ControlPrediction, image_blind_control
-from uncal.models.module import CalibrationModule
+from uncal.callbacks.uncertainty_calibration import ours
+from uncal.models.control import image_blind_control
 
 
 class ImageBlindControl(lightning.Callback):
-    """Runs the image-blind control before each test; the report makes a row of it.
-
-    Attributes:
-        control: of the last test; None before one, or if fewer than two frames can be read.
-    """
-
-    def __init__(self) -> None:
-        self.control: ControlPrediction | None = None
-
-    @staticmethod
-    def of(trainer: Trainer) -> ControlPrediction | None:
-        """The control of a test; None where it was not configured or found nothing."""
-        for callback in trainer.callbacks:  # type: ignore[attr-defined]  # set by Trainer.__init__
-            if isinstance(callback, ImageBlindControl):
-                return callback.control
-        return None
+    """Runs the image-blind control before each test; the report makes a row of it."""
 
     def on_test_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Estimate the test split with and without the frames' own images.
@@ -35,12 +18,5 @@ class ImageBlindControl(lightning.Callback):
         Raises:
             ConfigurationError: the module or the data are not ours.
         """
-        data = getattr(trainer, "datamodule", None)
-        if not isinstance(pl_module, CalibrationModule) or not isinstance(
-            data, CalibrationDataModule
-        ):
-            raise ConfigurationError(
-                "ImageBlindControl needs a CalibrationModule and a CalibrationDataModule, got "
-                f"{type(pl_module).__name__} and {type(data).__name__}: drop callbacks.control"
-            )
-        self.control = image_blind_control(trainer, pl_module, data)
+        module, data = ours(trainer, pl_module, "control")
+        module.run.control = image_blind_control(trainer, module, data)

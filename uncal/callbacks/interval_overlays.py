@@ -52,16 +52,10 @@ class IntervalOverlays(lightning.Callback):
         data = getattr(trainer, "datamodule", None)
         if not trainer.is_global_zero or not isinstance(data, CalibrationDataModule):
             return
-        if not isinstance(pl_module, CalibrationModule) or pl_module.tested is None:
+        if not isinstance(pl_module, CalibrationModule) or pl_module.run.tested is None:
             return
-        tested = pl_module.tested
-        intervals = pl_module.calibrator.predict(
-            tested.mean,
-            tested.std,
-            self.level,
-            groups=tested.groups(data.named("test"), pl_module.groups),
-            bounds=tested.bounds,
-        )
+        tested = pl_module.run.tested
+        intervals = pl_module.intervals(tested, data.named("test"), self.level)
         j = DOF_NAMES.index(self.dof)
         lower, upper = intervals.lower[:, j], intervals.upper[:, j]
         ranks = chosen_by_width(upper - lower, self.frames)

@@ -12,11 +12,9 @@ import lightning
 from lightning import LightningModule, Trainer
 
 from uncal import __version__
-from uncal.callbacks.image_blind import ImageBlindControl
 from uncal.data.datamodule import WINDOWED, CalibrationDataModule
-from uncal.errors import ConfigurationError
 from uncal.models.module import CalibrationModule
-from uncal.reporting.measure import Results, measure
+from uncal.reporting.measure import measure
 from uncal.reporting.report import format_report, write_report
 
 log = logging.getLogger(__name__)
@@ -37,34 +35,19 @@ class Report(lightning.Callback):
         label: what the data are, such as "simulated"; stands in every heading.
     """
 
-    results: Results
-
     def __init__(self, folder: str, levels: Sequence[float], label: str) -> None:
         self.folder = Path(folder)
         self.levels = list(levels)
         self.label = label
 
-    @staticmethod
-    def of(trainer: Trainer) -> Report:
-        """The report among a trainer's callbacks, after ``test``.
-
-        Raises:
-            ConfigurationError: it was configured away.
-        """
-        for callback in trainer.callbacks:  # type: ignore[attr-defined]  # set by Trainer.__init__
-            if isinstance(callback, Report):
-                return callback
-        raise ConfigurationError("callbacks.report is missing: the run has no result without it")
-
     def on_test_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Make the table, write it, show it."""
-        if not isinstance(pl_module, CalibrationModule) or pl_module.tested is None:
+        if not isinstance(pl_module, CalibrationModule) or pl_module.run.tested is None:
             return
-        tested = pl_module.tested
+        run, tested = pl_module.run, pl_module.run.tested
         data = trainer.datamodule  # type: ignore[attr-defined]  # Lightning sets it in test()
         frames = data.named("test")
-        control = ImageBlindControl.of(trainer)
-        self.results = measure(
+        run.results = measure(
             tested.mean,
             tested.std,
             tested.target,
@@ -72,7 +55,7 @@ class Report(lightning.Callback):
             self.levels,
             groups=tested.groups(frames, pl_module.groups),
             bounds=tested.bounds,
-            control=None if control is None else control.among(tested.place),
+            control=None if run.control is None else run.control.among(tested.place),
             frames=[str(frames[i]) for i in tested.place.tolist()],
             ellipsoid=(pl_module.ellipsoid, tested.covariance),
         )
@@ -80,10 +63,10 @@ class Report(lightning.Callback):
         if not trainer.is_global_zero:
             return
         notes = [*run_notes(pl_module, data), *skip_notes(data.skipped)]
-        paths = write_report(self.folder, self.results, label=self.label, notes=notes)
+        paths = write_report(self.folder, run.results, label=self.label, notes=notes)
         if data.skipped:
             write_skipped(self.folder / "skipped.csv", data.skipped)
-        table = format_report(self.results, label=self.label, notes=notes)
+        table = format_report(run.results, label=self.label, notes=notes)
         files = "\n".join(str(path) for path in paths)
         sys.stdout.write(f"\n{table}\n\n{files}\n")
         sys.stdout.flush()
@@ -125,8 +108,7 @@ def run_notes(module: CalibrationModule, data: CalibrationDataModule) -> list[st
             "Frames of one drive are dependent, so the reference band, which assumes exchangeable "
             "frames, is for reference only here."
         )
-    notes += module.provenance
-    return notes
+    return [*notes, *module.run.notes]
 
 
 def _passes(module: CalibrationModule) -> str:

@@ -8,40 +8,30 @@ import lightning
 from lightning import LightningModule, Trainer
 from lightning.pytorch.loggers import TensorBoardLogger
 
-from uncal.callbacks.report import Report
 from uncal.models.module import CalibrationModule
 
 Scalar = str | int | float | bool
 
 
 class SettingsWithResults(lightning.Callback):
-    """Logs the run's settings with what came out, so that runs can be sorted and compared.
+    """Logs the run's settings with what came out, so that runs can be sorted and compared."""
 
-    Stands after the report, whose results it logs.
-    """
-
-    def on_test_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Log them once, at the end."""
-        if not isinstance(pl_module, CalibrationModule) or not trainer.is_global_zero:
+    def teardown(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:
+        """Log them once, after the report."""
+        if stage != "test" or not trainer.is_global_zero:
             return
-        reports = [c for c in trainer.callbacks if isinstance(c, Report)]  # type: ignore[attr-defined]
-        results = getattr(reports[0], "results", None) if reports else None
-        if results is None:
+        if not isinstance(pl_module, CalibrationModule) or pl_module.run.results is None:
             return
         for logger in trainer.loggers:
             if isinstance(logger, TensorBoardLogger):
                 logger.log_hyperparams(
                     dict(flat(pl_module.recipe)),
-                    {"result/mean ratio": float(results.summary.mean_ratio)},
+                    {"result/mean ratio": float(pl_module.run.results.summary.mean_ratio)},
                 )
 
 
 def flat(settings: Mapping[str, object], path: str = "") -> Iterator[tuple[str, Scalar]]:
     """Settings by dotted key; what is neither text nor number as text.
-
-    Args:
-        settings: nested.
-        path: of the group they are in.
 
     >>> dict(flat({"mcd": {"passes": 25, "layers": None}, "levels": [0.9, 0.95]}))
     {'mcd.passes': 25, 'mcd.layers': 'None', 'levels': '[0.9, 0.95]'}

@@ -44,7 +44,7 @@ class UncertaintyCalibration(lightning.Callback):
         """Fit, then log PICP, MPIW and IS of the validation split per DoF and level."""
         if trainer.sanity_checking:
             return
-        module, data = _ours(trainer, pl_module)
+        module, data = ours(trainer, pl_module, "uncertainty")
         self._fit(trainer, module, data)
         validation = predict_split(trainer, module, data, "validation", self.monitored)
         frames = data.named("validation")
@@ -53,7 +53,7 @@ class UncertaintyCalibration(lightning.Callback):
 
     def on_test_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Fit unless the calibrator belongs to these weights, passes and rates already."""
-        module, data = _ours(trainer, pl_module)
+        module, data = ours(trainer, pl_module, "uncertainty")
         if module.calibrator.identity == module.engine.identity():
             return
         if module.calibrator.is_fitted:
@@ -62,11 +62,12 @@ class UncertaintyCalibration(lightning.Callback):
 
     def on_test_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Log PICP, MPIW and IS of the test split per DoF and level."""
-        module, data = _ours(trainer, pl_module)
-        if module.tested is None:
+        module, data = ours(trainer, pl_module, "uncertainty")
+        tested = module.run.tested
+        if tested is None:
             return
         for level in self.levels:
-            metrics = interval_metrics(module, module.tested, data.named("test"), level)
+            metrics = interval_metrics(module, tested, data.named("test"), level)
             values = {f"test {name}": value.item() for name, value in metrics.items()}
             for logger in trainer.loggers:
                 logger.log_metrics(values, trainer.global_step)
@@ -92,13 +93,7 @@ def interval_metrics(
         frames: all of that split.
         level: coverage level in (0, 1).
     """
-    intervals = module.calibrator.predict(
-        predicted.mean,
-        predicted.std,
-        level,
-        groups=predicted.groups(frames, module.groups),
-        bounds=predicted.bounds,
-    )
+    intervals = module.intervals(predicted, frames, level)
     metrics = MetricCollection(
         {"PICP": PICP(6), "MPIW": MPIW(6), "IS": IntervalScore(6, float(miscoverage(level)))}
     )
@@ -112,13 +107,18 @@ def interval_metrics(
     return tags
 
 
-def _ours(
-    trainer: Trainer, pl_module: LightningModule
+def ours(
+    trainer: Trainer, pl_module: LightningModule, callback: str
 ) -> tuple[CalibrationModule, CalibrationDataModule]:
+    """The module and the data of a trainer, which a callback needs to be this project's.
+
+    Raises:
+        ConfigurationError: they are others; names the key under ``callbacks`` to drop.
+    """
     data = getattr(trainer, "datamodule", None)
     if not isinstance(pl_module, CalibrationModule) or not isinstance(data, CalibrationDataModule):
         raise ConfigurationError(
-            "UncertaintyCalibration needs a CalibrationModule and a CalibrationDataModule, "
-            f"got {type(pl_module).__name__} and {type(data).__name__}"
+            f"callbacks.{callback} needs a CalibrationModule and a CalibrationDataModule, got "
+            f"{type(pl_module).__name__} and {type(data).__name__}: drop callbacks.{callback}"
         )
     return pl_module, data

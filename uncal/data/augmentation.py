@@ -80,14 +80,7 @@ class Augmentation:
                 )
 
     def __call__(self, batch: Batch) -> Batch:
-        """Augment a batch with torch's global generator.
-
-        Args:
-            batch: B samples on any device.
-
-        Returns:
-            The augmented batch.
-        """
+        """Augment a batch with torch's global generator."""
         n, device = len(batch.frames), batch.camera.device
         if self.mirror > 0:
             batch = mirror(batch, torch.rand(n, device=device) < self.mirror)

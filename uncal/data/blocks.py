@@ -16,10 +16,6 @@ def blocks(frame_ids: Iterable[FrameId], length: int | None) -> dict[str, list[F
     What remains at the end of a drive is a block of its own; shorter than half a block it joins the
     one before, if there is one.
 
-    Args:
-        frame_ids: all frames, each once, in any order.
-        length: frames of a block.
-
     Returns:
         Name of the block, ``rig/drive/block000``, → its frames by number.
 

@@ -120,11 +120,7 @@ class CalibrationDataModule(lightning.LightningDataModule):
         )
 
     def named(self, split: str) -> list[FrameId]:
-        """The units of a split, each by its first frame.
-
-        Args:
-            split: a name of :data:`uncal.data.splits.SPLITS`.
-        """
+        """The units of a split, each by its first frame."""
         return [unit[0] for unit in self.units[split]]
 
     def loader_of(
@@ -141,9 +137,6 @@ class CalibrationDataModule(lightning.LightningDataModule):
             most: units at most, spread evenly over the split; None: all.
             share: (rank, world size): every so many-th of them, for one of several processes.
             order: numbers of the units to load, in that order, in place of the two above.
-
-        Returns:
-            A new loader.
         """
         training = split == "train"
         size = self.loader.batch_size if training else self.loader.eval_batch_size
@@ -197,10 +190,6 @@ class CalibrationDataModule(lightning.LightningDataModule):
 
     def on_after_batch_transfer(self, batch: Batch, dataloader_idx: int) -> NetworkInput | None:
         """Decalibrate and project on the device.
-
-        Args:
-            batch: as loaded, already on the device.
-            dataloader_idx: which loader; not used.
 
         Returns:
             The network's input, or None where no frame of the batch could be read.

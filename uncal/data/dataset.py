@@ -86,15 +86,7 @@ class Batch(NamedTuple):
     skipped: list[SkippedFrame]
 
     def to(self, device: torch.device | str, non_blocking: bool = False) -> Batch:
-        """Move the tensors; Lightning calls it for every batch.
-
-        Args:
-            device: where to.
-            non_blocking: do not wait for the copies.
-
-        Returns:
-            The batch on that device.
-        """
+        """Move the tensors; Lightning calls it for every batch."""
         return self._map(lambda tensor: tensor.to(device, non_blocking=non_blocking))
 
     def pin_memory(self) -> Batch:
@@ -261,9 +253,6 @@ def collate(items: Sequence[Item]) -> Batch:
     """Stack the readable samples; a batch of none has B = 0.
 
     A window of which a frame cannot be read goes on with the others.
-
-    Args:
-        items: what :class:`FrameDataset` returned, unit by unit.
 
     Returns:
         The batch, with the unreadable frames in ``skipped``.

@@ -1,4 +1,4 @@
-"""Frames kept from the splits on purpose: whole rigs put away, training frames beyond a number."""
+"""Frames kept out of the splits on purpose: held-out rigs, training frames beyond a number."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from uncal.errors import ConfigurationError
 from uncal.recordings.frame import FrameId
 
 
-def put_rigs_away(
+def hold_out_rigs(
     frame_ids: Sequence[FrameId], share: float, seed: int
 ) -> tuple[list[FrameId], list[FrameId]]:
-    """Take rigs away before anything is split, the same ones whatever the split is by.
+    """Hold out rigs before anything is split, the same ones whatever the split is by.
 
     Args:
         frame_ids: all frames.
@@ -21,14 +21,14 @@ def put_rigs_away(
         seed: another seed, other rigs.
 
     Returns:
-        The frames that remain, in their order, and those of the rigs put away, by name.
+        The frames that remain, in their order, and those of the held-out rigs, by name.
 
     Raises:
         ConfigurationError: ``share`` is out of range, or no rig would remain.
 
     >>> frames = [FrameId(f"rig{i}", "drive", 0) for i in range(10)]
-    >>> kept, away = put_rigs_away(frames, 0.2, seed=0)
-    >>> len(kept), len(away)
+    >>> kept, held_out = hold_out_rigs(frames, 0.2, seed=0)
+    >>> len(kept), len(held_out)
     (8, 2)
     """
     rigs = sorted(
@@ -41,17 +41,17 @@ def put_rigs_away(
             f"split.unseen_rigs={share}: expected a share of the {len(rigs)} rig(s), 0 or more and "
             "below 1, say 0.2"
         )
-    n_away = max(1, math.floor(share * len(rigs) + 0.5)) if share > 0 else 0
-    if 0 < n_away >= len(rigs):
+    n_out = max(1, math.floor(share * len(rigs) + 0.5)) if share > 0 else 0
+    if 0 < n_out >= len(rigs):
         raise ConfigurationError(
-            f"split.unseen_rigs={share} puts {n_away} of {len(rigs)} rig(s) away, so that none "
+            f"split.unseen_rigs={share} holds out {n_out} of {len(rigs)} rig(s), so that none "
             "remains to train on: use a smaller share, add recordings of other rigs, or set "
             "split.unseen_rigs=0"
         )
-    gone = set(rigs[:n_away])
-    kept = [frame_id for frame_id in frame_ids if frame_id.rig not in gone]
-    away = [frame_id for frame_id in frame_ids if frame_id.rig in gone]
-    return kept, sorted(away, key=by_name)
+    out = set(rigs[:n_out])
+    kept = [frame_id for frame_id in frame_ids if frame_id.rig not in out]
+    held_out = [frame_id for frame_id in frame_ids if frame_id.rig in out]
+    return kept, sorted(held_out, key=by_name)
 
 
 def cap_training(training: Sequence[FrameId], n: int, seed: int) -> list[FrameId]:
@@ -59,14 +59,6 @@ def cap_training(training: Sequence[FrameId], n: int, seed: int) -> list[FrameId
 
     The choice depends neither on the order of the frames nor on a random generator's version, and a
     smaller one is part of every larger one.
-
-    Args:
-        training: the frames to choose from.
-        n: how many.
-        seed: another seed, another choice.
-
-    Returns:
-        The chosen frames by name.
 
     Raises:
         ConfigurationError: ``n`` is not positive, or there are fewer frames.

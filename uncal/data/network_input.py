@@ -121,9 +121,6 @@ def make_input(batch: Batch, decalibration: Tensor, settings: InputSettings) -> 
         decalibration: (n, 6) of each unit, metres and radians.
         settings: channels and scales.
 
-    Returns:
-        The network's input and target.
-
     Raises:
         ConfigurationError: the network reads rgb and the batch holds events, or the reverse.
     """

@@ -6,14 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from uncal.data.blocks import blocks, leave_gaps
-from uncal.data.left_out import cap_training, put_rigs_away
+from uncal.data.left_out import cap_training, hold_out_rigs
 from uncal.data.sequence_split import FrameSplit, OfficialSettings, split_officially
 from uncal.data.splits import split_frames
 from uncal.errors import ConfigurationError
 from uncal.recordings.frame import FrameId
 
 TESTERS: tuple[str, ...] = ("own", "unseen")
-"""Who may test: the split's own test part, or the rigs put away before the split."""
+"""Who may test: the split's own test part, or the rigs held out before the split."""
 
 
 @dataclass(frozen=True)
@@ -30,8 +30,8 @@ class SplitSettings:
         official: how ``official`` shares frames out.
         block_frames: of ``by=block``, consecutive frames of a drive.
         block_gap: of ``by=block``, frames in no split where blocks of different splits meet.
-        unseen_rigs: share of the rigs that is put away before anything is split.
-        test: ``own``, the split's own test part, or ``unseen``, all frames of the rigs put away.
+        unseen_rigs: share of the rigs that is held out before anything is split.
+        test: ``own``, the split's own test part, or ``unseen``, all frames of the held-out rigs.
         train_frames: exactly so many of the training frames; None: all.
     """
 
@@ -60,15 +60,15 @@ class SplitSettings:
             ConfigurationError: a setting is out of range or does not fit these frames.
         """
         self._check()
-        kept, away = put_rigs_away(frame_ids, self.unseen_rigs, self.seed)
+        kept, held_out = hold_out_rigs(frame_ids, self.unseen_rigs, self.seed)
         try:
             shared = self._share_out(kept, window)
         except ConfigurationError as error:
-            if not away:
+            if not held_out:
                 raise
             raise ConfigurationError(
-                f"{error} (split.unseen_rigs={self.unseen_rigs} had put {_n_rigs(away)} rig(s) "
-                "away before)"
+                f"{error} (split.unseen_rigs={self.unseen_rigs} had held out {_n_rigs(held_out)} "
+                "rig(s) before)"
             ) from error
         frames, notes = dict(shared.frames), [shared.note] if shared.note else []
         if self.train_frames is not None:
@@ -79,22 +79,22 @@ class SplitSettings:
                     f"Training uses {self.train_frames} of {available} frames (split.train_frames)."
                 )
         if self.test == "unseen":
-            frames["test"] = away
-        if away:
-            notes.append(self._unseen_note(frames, away))
+            frames["test"] = held_out
+        if held_out:
+            notes.append(self._unseen_note(frames, held_out))
         return FrameSplit(frames, " ".join(notes))
 
     def _check(self) -> None:
         if self.test not in TESTERS:
             raise ConfigurationError(
                 f"split.test={self.test}: expected own (the split's own test part) or unseen (the "
-                "rigs that split.unseen_rigs puts away)"
+                "rigs that split.unseen_rigs holds out)"
             )
         if self.test == "unseen" and self.unseen_rigs == 0:
             raise ConfigurationError(
-                "split.test=unseen tests on the rigs put away before the split, but "
-                "split.unseen_rigs=0 puts none away: set split.unseen_rigs to a share of the rigs, "
-                "say 0.2, or use split.test=own"
+                "split.test=unseen tests on the rigs held out before the split, but "
+                "split.unseen_rigs=0 holds out none: set split.unseen_rigs to a share of the "
+                "rigs, say 0.2, or use split.test=own"
             )
         if self.by == "official" and self.unseen_rigs != 0:
             raise ConfigurationError(
@@ -131,14 +131,14 @@ class SplitSettings:
             )
         return FrameSplit(frames, note)
 
-    def _unseen_note(self, frames: dict[str, list[FrameId]], away: Sequence[FrameId]) -> str:
+    def _unseen_note(self, frames: dict[str, list[FrameId]], held_out: Sequence[FrameId]) -> str:
         if self.test == "own":
             return (
-                f"{_n_rigs(away)} rig(s) ({len(away)} frames) were put away before the split and "
-                "are not used; split.test=unseen would test on them."
+                f"{_n_rigs(held_out)} rig(s) ({len(held_out)} frames) were held out before the "
+                "split and are not used; split.test=unseen would test on them."
             )
         note = (
-            f"The test frames are those of {_n_rigs(away)} rig(s) put away before the split "
+            f"The test frames are those of {_n_rigs(held_out)} rig(s) held out before the split "
             "(split.test=unseen)."
         )
         trained, calibrated = (

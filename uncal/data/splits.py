@@ -79,12 +79,7 @@ def split_frames(
 
 
 def seeded_hash(seed: int, name: str) -> bytes:
-    """A number that orders names pseudo-randomly.
-
-    Args:
-        seed: another seed, another order.
-        name: of a unit.
-    """
+    """A number that orders names pseudo-randomly."""
     return hashlib.blake2b(f"{seed}:{name}".encode(), digest_size=16).digest()
 
 

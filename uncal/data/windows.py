@@ -49,9 +49,6 @@ def units_of(
             before.
         recorded: all frames of the recording, in any order; None: those of the split.
 
-    Returns:
-        The units.
-
     >>> some = [FrameId("rig", "drive", index) for index in range(5)]
     >>> [len(unit) for unit in units_of(some, 2)], [len(unit) for unit in units_of(some, 1)]
     ([2, 2, 1], [1, 1, 1, 1, 1])

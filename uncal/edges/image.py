@@ -55,9 +55,6 @@ def box_mean(x: Tensor, half: int) -> Tensor:
     Args:
         x: (B, C, H, W).
         half: half the side.
-
-    Returns:
-        The same shape.
     """
     # A wide mean is smooth: a quarter of the pixels will do, one direction after the other.
     step = min(4, max(1, half // 3))
@@ -94,9 +91,6 @@ def blurred(maps: Tensor, sigma: Tensor) -> Tensor:
     Args:
         maps: (B, C, H, W).
         sigma: (B,) pixels.
-
-    Returns:
-        The same shape.
 
     >>> bool((blurred(torch.ones(1, 2, 8, 8), torch.tensor([1.0])) - 1).abs().max() < 1e-5)
     True

@@ -1,21 +1,14 @@
 """Metrics of prediction intervals: pure functions and torchmetrics around them."""
 
-from uncal.metrics.calibration_curve import (
-    CalibrationError,
-    calibration_curve,
-    calibration_error,
-)
+from uncal.metrics.calibration_curve import CalibrationError, calibration_error
 from uncal.metrics.conditional import (
     BinnedCoverage,
     coverage_by_bin,
     quantile_edges,
-    worst_bin_coverage,
 )
 from uncal.metrics.functional import interval_score, mpiw, picp
 from uncal.metrics.intervals import MPIW, PICP, IntervalScore
 from uncal.metrics.joint import (
-    geometric_mean_width,
-    joint_picp,
     log_volume,
     mean_log_volume,
     relative_size,
@@ -27,17 +20,13 @@ __all__ = [
     "BinnedCoverage",
     "CalibrationError",
     "IntervalScore",
-    "calibration_curve",
     "calibration_error",
     "coverage_by_bin",
-    "geometric_mean_width",
     "interval_score",
-    "joint_picp",
     "log_volume",
     "mean_log_volume",
     "mpiw",
     "picp",
     "quantile_edges",
     "relative_size",
-    "worst_bin_coverage",
 ]

@@ -82,34 +82,6 @@ def coverage_by_bin(covered: Tensor, values: Tensor, bins: int | Tensor) -> Binn
     return BinnedCoverage(edges, counts, hits / counts)
 
 
-def worst_bin_coverage(binned: BinnedCoverage, min_count: int = 1) -> Tensor:
-    """The lowest coverage of any bin, per output.
-
-    The lowest of several noisy fractions is below the level even where nothing is wrong, and the
-    more so the smaller the bins.
-
-    Args:
-        binned: :func:`coverage_by_bin`.
-        min_count: bins with fewer samples are left out; at least 1.
-
-    Returns:
-        (D,) fraction in 0..1; NaN where no bin has enough samples.
-
-    Raises:
-        ValueError: ``min_count`` below 1.
-
-    >>> inside = torch.tensor([[True], [True], [True], [False]])
-    >>> binned = coverage_by_bin(inside, torch.tensor([1.0, 2.0, 3.0, 4.0]), bins=2)
-    >>> worst_bin_coverage(binned).item()
-    0.5
-    """
-    if min_count < 1:
-        raise ValueError(f"min_count = {min_count}; an empty bin has no coverage, expected ≥ 1.")
-    usable = binned.counts >= min_count
-    lowest = torch.where(usable, binned.coverage, torch.inf).min(0).values
-    return torch.where(usable.any(0), lowest, torch.nan)
-
-
 def count_by_bin(covered: Tensor, values: Tensor, edges: Tensor) -> tuple[Tensor, Tensor]:
     """Samples and covered samples per bin, which sum over batches and processes.
 

@@ -10,11 +10,7 @@ from uncal.metrics.functional import covered, score, width
 
 
 class _MeanPerOutput(Metric):
-    """The mean over samples of something per output: a sum and a count.
-
-    Args:
-        num_outputs: D, the number of outputs.
-    """
+    """The mean over samples of something per output: a sum and a count."""
 
     full_state_update = False
     is_differentiable = False

@@ -35,27 +35,6 @@ def jointly_covered(lower: Tensor, upper: Tensor, target: Tensor) -> Tensor:
     return covered(lower, upper, target).all(1)
 
 
-def joint_picp(lower: Tensor, upper: Tensor, target: Tensor) -> Tensor:
-    """Joint coverage: 1/m Σ 1(y_j ∈ [lower_j, upper_j] for all j).
-
-    Args:
-        lower: (n, D) lower bounds, -inf allowed.
-        upper: (n, D) upper bounds, +inf allowed.
-        target: (n, D) finite truth.
-
-    Returns:
-        () fraction in 0..1, at most the smallest of :func:`uncal.metrics.functional.picp`.
-
-    Raises:
-        ValueError: as :func:`jointly_covered`.
-
-    >>> joint_picp(torch.zeros(2, 2), torch.ones(2, 2), torch.tensor([[0, 1.0], [0, 2.0]])).item()
-    0.5
-    """
-    inside = jointly_covered(lower, upper, target)
-    return inside.to(torch.promote_types(target.dtype, torch.float32)).mean()
-
-
 def log_volume(lower: Tensor, upper: Tensor) -> Tensor:
     """Natural logarithm of each box's volume: Σ_j log(upper_j - lower_j).
 
@@ -98,25 +77,6 @@ def mean_log_volume(lower: Tensor, upper: Tensor) -> Tensor:
     """
     logs = log_volume(lower, upper)
     return torch.where(logs.isposinf().any(), torch.inf, logs.mean())
-
-
-def geometric_mean_width(lower: Tensor, upper: Tensor) -> Tensor:
-    """Geometric mean of the widths over samples and outputs: exp(mean log-volume / D).
-
-    Args:
-        lower: (n, D) lower bounds, -inf allowed.
-        upper: (n, D) upper bounds, +inf allowed.
-
-    Returns:
-        () width; +inf as soon as one box is infinite. A length only if all outputs are lengths.
-
-    Raises:
-        ValueError: as :func:`log_volume`.
-
-    >>> geometric_mean_width(torch.zeros(1, 2), torch.tensor([[4.0, 9.0]])).round().item()
-    6.0
-    """
-    return (mean_log_volume(lower, upper) / lower.shape[1]).exp()
 
 
 def relative_size(lower: Tensor, upper: Tensor, other_lower: Tensor, other_upper: Tensor) -> Tensor:

@@ -217,15 +217,7 @@ class AlignmentEstimator(nn.Module):
         return State(pose, covariance, Prior(pose, torch.linalg.inv(covariance)))
 
     def align(self, batch: NetworkInput, rounds: Sequence[int]) -> State:
-        """Rounds without dropout.
-
-        Args:
-            batch: B frames of n units.
-            rounds: numbers of the scales, one per round.
-
-        Returns:
-            The state after them.
-        """
+        """Rounds without dropout."""
         n = len(batch.place)
         state = self.begin(batch)
         maps = self.last.network.describe(batch.x)
@@ -288,20 +280,13 @@ class AlignmentEstimator(nn.Module):
     def pose(self, batch: NetworkInput) -> Tensor:
         """The estimate of all rounds, without dropout.
 
-        Args:
-            batch: B frames of n units.
-
         Returns:
             (n, 6) metres and radians.
         """
         return self.align(batch, self.rounds).pose * self.bounds
 
     def question(self, batch: NetworkInput) -> Question:
-        """All rounds but the last, which stochastic passes repeat.
-
-        Args:
-            batch: B frames of n units.
-        """
+        """All rounds but the last, which stochastic passes repeat."""
         state = self.align(batch, self.rounds[:-1])
         T = self.assumed(batch, state)
         return Question((batch.x, batch.edges, batch.K, T, state.covariance[batch.unit]), state)
@@ -329,12 +314,6 @@ class AlignmentEstimator(nn.Module):
 
         Each scale meets its own range of remaining decalibrations, drawn here; the batch's own
         decalibration is taken out first.
-
-        Args:
-            batch: B single frames.
-
-        Returns:
-            Scalar.
         """
         n = len(batch.x)
         T_true = correct(batch.T_init, batch.target)
@@ -376,9 +355,6 @@ def cross_entropy(curves: Tensor, offset: Tensor, seen: Tensor, stride: int) -> 
         seen: (B, M) which edges do.
         stride: pixels between the curve's offsets.
 
-    Returns:
-        Scalar.
-
     >>> curve = torch.log_softmax(torch.tensor([[[0.0, 1.0, 0.0]]]), -1)
     >>> loss = cross_entropy(curve, torch.zeros(1, 1), torch.ones(1, 1), 1)
     >>> torch.allclose(loss, -curve[0, 0, 1])
@@ -402,9 +378,6 @@ def surprise(state: State, truth: Tensor) -> Tensor:
     Args:
         state: n units.
         truth: (n, 6) in units of the range.
-
-    Returns:
-        Scalar.
     """
     error = (truth - state.pose)[..., None]
     factor: Tensor = torch.linalg.cholesky(state.covariance)

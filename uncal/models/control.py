@@ -60,10 +60,6 @@ def control_order(frames: Sequence[FrameId], seed: int) -> list[int]:
     A frame gets the image of the one before it. In the order of time that would be its neighbour,
     which shows nearly the same.
 
-    Args:
-        frames: of the split.
-        seed: the run's.
-
     >>> control_order([FrameId("rig", "drive", i) for i in range(6)], seed=0)
     [2, 1, 4, 0, 5, 3]
     """
@@ -78,12 +74,6 @@ def image_blind_control(
     In a pseudo-random order each readable frame gets the image (or the events) of the readable
     one before it, the first that of the last. So no frame keeps its own, whatever cannot be read,
     and which image a frame gets does not depend on batch size or number of processes.
-
-    Args:
-        trainer: gives device, precision and processes.
-        module: the network.
-        data: gives the split's frames.
-        split: its name; one with fixed decalibrations.
 
     Returns:
         The estimates of all readable frames, the same on every process; None if fewer than two

@@ -25,14 +25,7 @@ class FastDropout(_DropoutNd):
     elementwise_dropout = True
 
     def forward(self, x: Tensor) -> Tensor:
-        """Zero elements with probability p and scale the others by 1/(1-p), in training mode.
-
-        Args:
-            x: any shape.
-
-        Returns:
-            The same shape.
-        """
+        """Zero elements with probability p and scale the others by 1/(1-p), in training mode."""
         if not self.training or self.p == 0.0:
             return x
         if x.device.type != "cpu" or self.p == 1.0:
@@ -48,12 +41,6 @@ class FastDropout(_DropoutNd):
 
 def use_fast_dropout(network: nn.Module) -> nn.Module:
     """Replace every :class:`torch.nn.Dropout` inside a network, in place.
-
-    Args:
-        network: any module.
-
-    Returns:
-        The same module.
 
     >>> use_fast_dropout(nn.Sequential(nn.Linear(2, 2), nn.Dropout(0.1)))[1]
     FastDropout(p=0.1, inplace=False)

@@ -167,9 +167,6 @@ class EdgeAlignmentEstimator(nn.Module):
     def align(self, batch: NetworkInput) -> State:
         """Mean and covariance of the pose of every unit.
 
-        Args:
-            batch: B frames of n units.
-
         Returns:
             The state, in units of the range.
         """
@@ -197,19 +194,11 @@ class EdgeAlignmentEstimator(nn.Module):
         return of_frames.new_zeros(len(pose), pose.shape[1]).index_add(0, batch.unit, of_frames)
 
     def pose(self, batch: NetworkInput) -> Tensor:
-        """(n, 6) estimates, metres and radians.
-
-        Args:
-            batch: B frames of n units.
-        """
+        """(n, 6) estimates, metres and radians."""
         return self.align(batch).pose * self.bounds
 
     def question(self, batch: NetworkInput) -> Question:
-        """The whole search; passes have nothing to add.
-
-        Args:
-            batch: B frames of n units.
-        """
+        """The whole search; passes have nothing to add."""
         state = self.align(batch)
         return Question(((state.pose * self.bounds)[batch.unit],), state)
 
@@ -232,9 +221,6 @@ class EdgeAlignmentEstimator(nn.Module):
 
     def loss(self, batch: NetworkInput) -> Tensor:
         """There is none.
-
-        Args:
-            batch: not used.
 
         Raises:
             UncalError: always.

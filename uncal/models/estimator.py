@@ -78,19 +78,11 @@ class PoseEstimator(nn.Module):
         return self
 
     def pose(self, batch: NetworkInput) -> Tensor:
-        """(n, 6) estimates, metres and radians.
-
-        Args:
-            batch: single frames.
-        """
+        """(n, 6) estimates, metres and radians."""
         return self.estimate(*_single(batch)).pose
 
     def question(self, batch: NetworkInput) -> Question:
-        """The network's own arguments.
-
-        Args:
-            batch: single frames.
-        """
+        """The network's own arguments."""
         return Question(_single(batch), None)
 
     def answer(self, samples: Tensor, batch: NetworkInput, question: Question) -> Answer:
@@ -104,14 +96,7 @@ class PoseEstimator(nn.Module):
         return Answer(samples, None)
 
     def loss(self, batch: NetworkInput) -> Tensor:
-        """Pose loss plus, for a displacement map, the loss of the map itself.
-
-        Args:
-            batch: B single frames.
-
-        Returns:
-            Scalar.
-        """
+        """Pose loss plus, for a displacement map, the loss of the map itself."""
         estimate = self.estimate(*_single(batch))
         loss = pose_loss(estimate.pose, batch.target, self.bounds)
         if estimate.displacement is not None:

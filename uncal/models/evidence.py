@@ -143,11 +143,6 @@ class EvidenceNetwork(nn.Module):
     ) -> Tensor:
         """Features around every edge, before any dropout.
 
-        Args:
-            maps: of :meth:`describe`.
-            projected: the edges.
-            level: which of :data:`STRIDES`.
-
         Returns:
             (B, features + 2, M, 2·reach + 1).
         """

@@ -82,9 +82,6 @@ class PointGeometry(nn.Module):
             K: (B, 3, 3) camera matrices.
             T_init: (B, 4, 4) decalibrated extrinsics.
             grid: (h, w) cells of the displacement map.
-
-        Returns:
-            Points and Jacobian.
         """
         points = grid_points(inverse_depth, K, grid)
         jacobian = displacement_jacobian(points.points_cam, K, T_init) * self.bounds

@@ -37,9 +37,6 @@ class PoseHead(nn.Module):
     def forward(self, maps: list[Tensor]) -> Tensor:
         """Pool and regress.
 
-        Args:
-            maps: the pyramid, fine to coarse.
-
         Returns:
             (B, 6) decalibration in units of its range.
         """
@@ -58,6 +55,9 @@ class QuantileHead(nn.Module):
         dropout: rate before each linear layer.
     """
 
+    gives_quantiles = True
+    """What ``interval=cqr`` looks for; a head of your own says the same."""
+
     def __init__(self, in_channels: Sequence[int], hidden: Sequence[int], dropout: float) -> None:
         super().__init__()
         self.pose, self.below, self.above = (
@@ -66,9 +66,6 @@ class QuantileHead(nn.Module):
 
     def forward(self, maps: list[Tensor]) -> Tensor:
         """Pool and regress.
-
-        Args:
-            maps: the pyramid, fine to coarse.
 
         Returns:
             (B, 3, 6) pose, lower and upper quantile in units of the decalibration's range.
@@ -108,9 +105,6 @@ class DisplacementHead(nn.Module):
 
     def forward(self, maps: list[Tensor]) -> Tensor:
         """Decode coarse to fine.
-
-        Args:
-            maps: the pyramid, fine to coarse.
 
         Returns:
             (B, 4, h, w): displacement in pixels of the input (columns, rows), and two log-weights.

@@ -20,13 +20,6 @@ def predict_split(
 ) -> SplitPrediction:
     """Run the stochastic passes over a split, shared out among the trainer's processes.
 
-    Args:
-        trainer: gives device, precision and processes.
-        module: the network with its MC-dropout engine.
-        data: gives the split's batches.
-        split: its name.
-        most: frames to predict at most, spread evenly over the split; None: all.
-
     Returns:
         Predictions of all readable frames, the same on every process.
 

@@ -13,9 +13,6 @@ def pose_loss(estimate: Tensor, target: Tensor, bounds: Tensor) -> Tensor:
         estimate: (B, 6) metres and radians.
         target: (B, 6) metres and radians.
         bounds: (6,) range of the decalibrations.
-
-    Returns:
-        Scalar.
     """
     return F.smooth_l1_loss(estimate / bounds, target / bounds, beta=0.2)
 
@@ -46,9 +43,6 @@ def pinball_loss(quantile: Tensor, target: Tensor, level: float, bounds: Tensor)
         target: (B, 6) metres and radians.
         level: in (0, 1).
         bounds: (6,) range of the decalibrations.
-
-    Returns:
-        Scalar.
 
     >>> import torch
     >>> one = torch.ones(1, 6)

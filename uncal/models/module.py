@@ -21,11 +21,13 @@ from uncal.models.losses import relative_error
 from uncal.models.prediction import SplitPrediction, frame_seed, join_predictions, pass_names
 from uncal.models.schedule import follow
 from uncal.recordings.frame import FrameId
+from uncal.run_state import RunState
 from uncal.uncertainty.calibrator import IntervalCalibrator
 from uncal.uncertainty.dropout import only_active
 from uncal.uncertainty.ellipsoid import EllipsoidCalibrator
 from uncal.uncertainty.errors import UncertaintyError
 from uncal.uncertainty.gather import gather_by_id
+from uncal.uncertainty.intervals import Intervals
 from uncal.uncertainty.masks import FixedMasks
 from uncal.uncertainty.mc_dropout import MCDropout, Prediction
 from uncal.uncertainty.pass_memory import PassMemory
@@ -76,9 +78,8 @@ class CalibrationModule(lightning.LightningModule):
         self.groups = groups
         self.mask_seed = mask_seed
         self.memory: PassMemory | None = None
-        self.provenance: list[str] = []
         self.recipe: dict[str, object] = {}
-        self.tested: SplitPrediction | None = None
+        self.run = RunState()
         self._tested: list[SplitPrediction] = []
         self._validation: list[tuple[Tensor, Tensor, Tensor]] = []
 
@@ -90,9 +91,6 @@ class CalibrationModule(lightning.LightningModule):
     def forward(self, batch: NetworkInput) -> Tensor:
         """Estimate the decalibration of a batch.
 
-        Args:
-            batch: B network inputs.
-
         Returns:
             (n, 6) metres and radians.
         """
@@ -103,15 +101,7 @@ class CalibrationModule(lightning.LightningModule):
         return cast(Estimator, self.estimator)
 
     def stochastic(self, batch: NetworkInput, split: str) -> SplitPrediction:
-        """Mean and spread of the stochastic passes; the same for a frame in any batch.
-
-        Args:
-            batch: B network inputs of n units.
-            split: name of the split that they come from.
-
-        Returns:
-            The predictions of the n units.
-        """
+        """Mean and spread of the stochastic passes; the same for a frame in any batch."""
         # Whatever mode the module is in: no dropout, and statistics of batches stay as they are.
         with only_active(self.estimator, []):
             question = self._estimator.question(batch)
@@ -150,12 +140,7 @@ class CalibrationModule(lightning.LightningModule):
         self.memory = memory
 
     def fit_calibrator(self, scores: SplitPrediction, frames: Sequence[FrameId]) -> None:
-        """Calibrate the intervals of these weights, passes, rates and masks.
-
-        Args:
-            scores: predictions of the uncertainty calibration split.
-            frames: that split.
-        """
+        """Calibrate the intervals of these weights, passes, rates and masks."""
         self.calibrator.fit(
             scores.mean,
             scores.std,
@@ -170,6 +155,24 @@ class CalibrationModule(lightning.LightningModule):
             )
         except UncertaintyError as error:
             log.info("no joint ellipsoid: %s", error)
+
+    def intervals(
+        self, predicted: SplitPrediction, frames: Sequence[FrameId], level: float
+    ) -> Intervals:
+        """The intervals of a split's predictions at a coverage level in (0, 1).
+
+        Args:
+            predicted: some frames of a split.
+            frames: all of that split.
+            level: coverage level in (0, 1).
+        """
+        return self.calibrator.predict(
+            predicted.mean,
+            predicted.std,
+            level,
+            groups=predicted.groups(frames, self.groups),
+            bounds=predicted.bounds,
+        )
 
     def on_train_start(self) -> None:
         """Follow the schedule from the first step on, also of a resumed training."""
@@ -209,8 +212,8 @@ class CalibrationModule(lightning.LightningModule):
         self._tested.append(self.stochastic(batch, "test"))
 
     def on_test_epoch_end(self) -> None:
-        """Put the predictions together as ``tested``."""
-        self.tested = join_predictions(self._tested, "test")
+        """Put the predictions together as ``run.tested``."""
+        self.run.tested = join_predictions(self._tested, "test")
         self._tested.clear()
 
     def predict_step(self, batch: NetworkInput | None, batch_idx: int) -> SplitPrediction | None:

@@ -44,11 +44,6 @@ class SplitPrediction:
     def of(cls, answer: Answer, batch: NetworkInput, spread: str) -> SplitPrediction:
         """One batch's; of 18 outputs the first six are the pose, the others its quantiles.
 
-        Args:
-            answer: of the stochastic passes.
-            batch: what was asked about.
-            spread: one of :data:`SPREADS`.
-
         Raises:
             ConfigurationError: the solver's covariance of a network without a solver.
         """
@@ -97,11 +92,6 @@ class SplitPrediction:
 def frame_seed(seed: int, split: str, frame: FrameId) -> int:
     """Seed of a frame's dropout masks: the same in any batch, on any process, in any order.
 
-    Args:
-        seed: the run's.
-        split: name of the split.
-        frame: the frame.
-
     Returns:
         63-bit seed.
     """
@@ -113,9 +103,6 @@ def pass_names(batch: NetworkInput) -> list[str]:
     """Names under which the passes of a batch's frames are remembered.
 
     In a window a frame's passes depend on the others, whose evidence the rounds before added up.
-
-    Args:
-        batch: B frames.
 
     Returns:
         B names: the frame's own, and in a window those of all its frames behind it.
@@ -133,10 +120,6 @@ def join_predictions(parts: Sequence[SplitPrediction], split: str) -> SplitPredi
     """Predictions of a split's batches as one, those of all processes together.
 
     Samples that a distributed sampler repeated are dropped; the order is the split's.
-
-    Args:
-        parts: this process's, one per batch.
-        split: its name, for the message.
 
     Returns:
         All of them, on the CPU, the same on every process.

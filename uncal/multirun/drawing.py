@@ -83,13 +83,7 @@ def lines(sweep: Sweep, panels: Sequence[Panel], columns: int) -> Figure:
 
 
 def dots(sweep: Sweep, panels: Sequence[Panel], *, own_bars: bool = False) -> Figure:
-    """Panels side by side, with a row per combination of swept values.
-
-    Args:
-        sweep: the multirun.
-        panels: what is drawn.
-        own_bars: bars from columns ``…_low`` and ``…_high`` of each run, in place of replicates'.
-    """
+    """Panels side by side, with a row per combination of swept values."""
     most = max(len(panel.series) for panel in panels)
     height = min(0.75 + max((0.16 + 0.07 * most) * len(sweep.groups), 0.6), 9.2)
     width = DOUBLE_COLUMN if len(panels) > 1 else (SINGLE_COLUMN + DOUBLE_COLUMN) / 2

@@ -66,13 +66,6 @@ def threads_per_job(
 ) -> int | None:
     """Threads for every job of a parallel launcher.
 
-    Args:
-        launcher: its class.
-        n_jobs: joblib's: how many jobs at once; -1 for as many as there are cores.
-        cpus_per_task: submitit's: cores asked for per job.
-        planned: how many jobs there are; None if unknown.
-        cores: of this machine.
-
     Returns:
         None to leave it to the job's process: one job at a time, or on a machine of its own.
 

@@ -82,9 +82,6 @@ def write_summary(folder: Path, command: str, planned: Planned = None) -> list[J
         command: the command line that started the multirun.
         planned: the overrides of every job to come; None if unknown. Folders of other jobs, of
             an earlier multirun, are then counted and left out.
-
-    Returns:
-        The jobs found there.
     """
     record = MultirunRecord(command, planned)
     write_whole(folder / RECORD, f"{json.dumps(asdict(record), indent=1, ensure_ascii=False)}\n")
@@ -125,13 +122,7 @@ _WITHOUT_RESULTS = "Jobs without results"
 
 
 def summary_sections(found: Sequence[Job], record: MultirunRecord, folder: Path) -> list[Section]:
-    """The jobs in words; all DoF in one table, a table per level, errors; jobs without results.
-
-    Args:
-        found: all jobs in the folder.
-        record: tells those of an earlier multirun apart.
-        folder: ``hydra.sweep.dir``, for the command that resumes it.
-    """
+    """The jobs in words; all DoF in one table, a table per level, errors; jobs without results."""
     planned = record.planned
     jobs = [job for job in found if planned is None or job.overrides in planned]
     finished = [job for job in jobs if job.table is not None]

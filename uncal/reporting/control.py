@@ -19,12 +19,7 @@ if TYPE_CHECKING:
 
 
 def control_table(control: ControlPrediction, mae_mean: Sequence[float]) -> pd.DataFrame:
-    """One row per degree of freedom.
-
-    Args:
-        control: the control's estimates.
-        mae_mean: 6 mean absolute errors of the mean of the stochastic passes, cm and degrees.
-    """
+    """One row per degree of freedom."""
     target, single, blind = (
         values.double().numpy() for values in (control.target, control.single, control.blind)
     )

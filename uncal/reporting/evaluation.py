@@ -125,11 +125,6 @@ def guarantee_of(kind: type[IntervalCalibrator]) -> Guarantee:
 def band_caveat(guarantee: Guarantee, split_by: str, test: str = "own") -> str:
     """Why the coverage need not follow the Beta-Binomial law in a run; empty where it must.
 
-    Args:
-        guarantee: of the interval method.
-        split_by: what the split never divides, such as ``frame``.
-        test: ``own``, or ``unseen`` where rigs held out before the split test.
-
     >>> band_caveat("exact", "frame"), band_caveat("none", "rig")
     ('', 'the interval method guarantees no coverage')
     """

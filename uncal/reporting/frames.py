@@ -194,10 +194,6 @@ def write_csv(path: Path, frame: pd.DataFrame) -> Path:
 def read_csv(path: Path, schema: Schema) -> pd.DataFrame:
     """Read what :func:`write_csv` wrote, and check that it is all there.
 
-    Args:
-        path: the file.
-        schema: its columns; others are kept as text, except for the bounds of predictions.
-
     Raises:
         UncalError: the file cannot be read, is cut off, lacks a column, a value or a DoF, or has a
             value of another kind.
@@ -226,12 +222,7 @@ def read_csv(path: Path, schema: Schema) -> pd.DataFrame:
 
 
 def read_numbers(path: Path, text: Collection[str]) -> pd.DataFrame:
-    """Read a CSV unchecked: some columns as text, all others as floats, read back exactly.
-
-    Args:
-        path: the file.
-        text: names of columns that are text; an empty cell is "" there, else NaN.
-    """
+    """Read a CSV unchecked: some columns as text, all others as floats, read back exactly."""
     import pandas as pd
 
     cells = pd.read_csv(path, dtype=str, keep_default_na=False)

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import csv
 import io
+import json
+import logging
 import math
 import secrets
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TypeAlias
+
+log = logging.getLogger(__name__)
 
 Grid: TypeAlias = list[list[str]]
 """Rows of cells, the first the header; the first column names the rows."""
@@ -32,10 +36,6 @@ def markdown_lines(grid: Sequence[Sequence[str]]) -> list[str]:
 def aligned_lines(grid: Sequence[Sequence[str]], gaps: Collection[int] = ()) -> list[str]:
     """A grid as plain text, numbers to the right, all their columns equally wide.
 
-    Args:
-        grid: rows of cells, the first the header.
-        gaps: rows to leave a blank line before.
-
     >>> aligned_lines([["", "X"], ["MAE", "1.0"]])
     ['       X', 'MAE  1.0']
     """
@@ -51,10 +51,6 @@ def aligned_lines(grid: Sequence[Sequence[str]], gaps: Collection[int] = ()) -> 
 
 def csv_text(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     r"""Rows as csv in which every float reads back exactly; columns that no row has are left out.
-
-    Args:
-        columns: the header.
-        rows: one value per column; None where the row has none.
 
     >>> csv_text(["level", "joint"], [[90.0, None], [95.0, None]])
     'level\n90.0\n95.0\n'
@@ -72,14 +68,22 @@ def csv_text(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
 
 
 def write_whole(path: Path, text: str) -> Path:
-    """Write a file whole or not at all: a reader never sees half a table.
-
-    Returns:
-        The path.
-    """
+    """Write a file whole or not at all: a reader never sees half a table."""
     with replaced_whole(path) as partial:
         partial.write_text(text, encoding="utf-8")
     return path
+
+
+def read_json(path: Path, consequence: str) -> dict[str, object] | None:
+    """A JSON object; None where there is none, with a warning if the file is damaged."""
+    if not path.is_file():
+        return None
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        log.warning("%s cannot be read (%s): %s", path, error, consequence)
+        return None
+    return content if isinstance(content, dict) else None
 
 
 @contextmanager

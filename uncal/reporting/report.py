@@ -73,13 +73,6 @@ def write_report(
 
     ``control.csv`` and ``predictions.csv`` of an earlier run are removed if this one has none.
 
-    Args:
-        folder: the run's folder; made if it is not there.
-        results: :func:`uncal.reporting.measure.measure`.
-        label: what data this is, for the heading, such as "simulated".
-        notes: sentences to print below the main table.
-        extra: further named lines of the summary.
-
     Returns:
         The paths: results.csv, results.md, joint.csv, conditional.csv, calibration_curve.csv and,
         where they were measured, control.csv and predictions.csv.
@@ -111,14 +104,7 @@ def format_report(
     notes: Sequence[str] = (),
     extra: Mapping[str, str] | None = None,
 ) -> str:
-    """The main table and that of the whole pose as plain text, :data:`TERMINAL_WIDTH` wide.
-
-    Args:
-        results: :func:`uncal.reporting.measure.measure`.
-        label: what data this is, for the heading, such as "simulated".
-        notes: sentences to print below the main table.
-        extra: further named lines of the summary.
-    """
+    """The main table and that of the whole pose as plain text, :data:`TERMINAL_WIDTH` wide."""
     control = results.control
     summary = {**({} if control is None else contribution_line(control)), **(extra or {})}
     explained = [*([] if control is None else [contribution_note(control)]), *notes]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import logging
 import shlex
 import subprocess
 import time
@@ -13,9 +12,7 @@ from pathlib import Path
 
 from uncal import __version__
 from uncal.reporting.frames import TABLES
-from uncal.reporting.layout import write_whole
-
-log = logging.getLogger(__name__)
+from uncal.reporting.layout import read_json, write_whole
 
 NAME = "run.json"
 
@@ -73,11 +70,7 @@ class RunRecord:
         return found if (self.path.parent / "results.csv").is_file() else None
 
     def write(self, **results: object) -> Path:
-        """Write what the run was and what came out.
-
-        Returns:
-            The path.
-        """
+        """Write what the run was and what came out."""
         content = {
             **self._content,
             "finished": datetime.now().isoformat(timespec="seconds"),
@@ -89,15 +82,7 @@ class RunRecord:
 
 def read_record(folder: Path) -> dict[str, object] | None:
     """The record in a run's folder; None, with a warning if it is damaged, where there is none."""
-    path = folder / NAME
-    if not path.is_file():
-        return None
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
-        log.warning("%s cannot be read (%s): taken for missing", path, error)
-        return None
-    return content if isinstance(content, dict) else None
+    return read_json(folder / NAME, "taken for missing")
 
 
 def command_line(module: str, overrides: Sequence[str]) -> str:

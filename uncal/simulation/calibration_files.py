@@ -27,11 +27,6 @@ def write_calibration(rig: Rig, settings: SimulationSettings, folder: Path) -> N
     The chain that a reader must follow, T_cam_lidar = T2 · R_rect_00 · T_velo_to_cam with
     T2[0, 3] = P_rect_02[0, 3] / P_rect_02[0, 0], gives the rig's true extrinsic. Only camera 2 is
     simulated; the other three cameras have plausible entries because readers look for them.
-
-    Args:
-        rig: the rig.
-        settings: for the image size.
-        folder: the date folder; must exist.
     """
     size = (float(settings.camera.width), float(settings.camera.height))
     text = f"calib_time: {CALIB_TIME}\n" + _line("corner_dist", [0.1])

@@ -25,15 +25,7 @@ def add_cars(
     rng: np.random.Generator,
     driven: tuple[float, float],
 ) -> None:
-    """Add parked cars and others on the road; nothing moves, and the driven lane is free.
-
-    Args:
-        mesh: receives the triangles.
-        street: the street.
-        scene: densities.
-        rng: source of randomness.
-        driven: first and last s of the vehicle's own path in the right lane.
-    """
+    """Add parked cars and others on the road; nothing moves, and the driven lane is free."""
     parked, moving = _parked(street, scene, rng), _moving(street, scene, rng, driven)
     base, yaw = (np.concatenate(pair) for pair in zip(parked, moving, strict=True))
     _add_bodies(mesh, rng, base, yaw)

@@ -97,11 +97,6 @@ def draw_optics(settings: SimulationSettings, index: int, rig: Rig) -> EventOpti
     T_lidar_camRect1 is chosen so that a reader's composition
     T_lidar_camRect0 = T_lidar_camRect1 · R_rect1 · T_10 · R_rect0⁻¹ is the inverse of the rig's
     true extrinsic.
-
-    Args:
-        settings: the simulation's settings; must have ``events``.
-        index: number of the rig.
-        rig: that rig.
     """
     rng = generator(settings.seed, Stream.STEREO, index)
     rectifying = [_small_turn(rng, 0.7) for _ in range(4)]

@@ -70,12 +70,7 @@ def rig_date(index: int) -> str:
 
 
 def draw_rig(settings: SimulationSettings, index: int) -> Rig:
-    """Draw the rig of one date folder.
-
-    Args:
-        settings: the simulation's settings.
-        index: number of the rig, from 0.
-    """
+    """Draw the rig of one date folder."""
     rng = generator(settings.seed, Stream.RIG, index)
     vary, camera, lidar = settings.rig, settings.camera, settings.lidar
     rotation = np.deg2rad(vary.rotation_deg) * rng.uniform(-1, 1, 3)

@@ -26,11 +26,6 @@ class Stream(IntEnum):
 def generator(seed: int, stream: Stream, *indices: int) -> np.random.Generator:
     """The random generator of one stream.
 
-    Args:
-        seed: the simulation's seed.
-        stream: what the numbers are for.
-        indices: which one: rig, drive, frame.
-
     >>> a, b = (generator(1, Stream.RIG, i).integers(2**62) for i in (0, 1))
     >>> bool(a == generator(1, Stream.RIG, 0).integers(2**62)), bool(a == b)
     (True, False)

@@ -83,11 +83,7 @@ class TextureLibrary:
 
 
 def build_library(rng: np.random.Generator) -> TextureLibrary:
-    """Draw VARIANTS textures of every kind.
-
-    Args:
-        rng: source of randomness.
-    """
+    """Draw VARIANTS textures of every kind."""
     painters = {
         Kind.PLAIN: _plain,
         Kind.ROUGH: _rough,

@@ -38,13 +38,6 @@ def vehicle_pose(
 
     Lateral position and heading change slowly over the drive; roll, pitch and height are drawn
     anew for every frame.
-
-    Args:
-        settings: the simulation's settings.
-        street: the drive's street.
-        rig: number of the rig.
-        drive: number of the drive within the rig.
-        frame: number of the frame within the drive.
     """
     limits = settings.vehicle
     s = distance_along(settings, frame)
@@ -81,11 +74,6 @@ def pose_around(
 
 
 def turn_rates(events: EventSettings, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Draw roll, pitch and yaw rate of one window, (3,) radians per second.
-
-    Args:
-        events: the largest rates.
-        rng: draws them.
-    """
+    """Draw roll, pitch and yaw rate of one window, (3,) radians per second."""
     largest = [events.sway_rate_deg_s, events.sway_rate_deg_s, events.yaw_rate_deg_s]
     return np.deg2rad(largest) * rng.uniform(-1, 1, 3)

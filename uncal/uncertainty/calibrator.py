@@ -94,9 +94,6 @@ class IntervalCalibrator(CalibratorState):
             bounds: (m, D) lower and upper quantile outputs, where the method needs them.
             identity: the predictor, ``MCDropout.identity()``, to be checked before later use.
 
-        Returns:
-            Itself.
-
         Raises:
             UncertaintyError: wrong shapes, values that are not finite, groups or bounds that the
                 method needs missing, or, where it divides by σ, σ negative or 0.
@@ -138,7 +135,7 @@ class IntervalCalibrator(CalibratorState):
         """() q of the joint score max_j s_j / scale_j; (n,) by group; else as :meth:`quantile`.
 
         Raises:
-            NotCalibratedError: before :meth:`fit` or a load, or from a state without joint scores.
+            NotCalibratedError: before :meth:`fit` or a load.
             UncertaintyError: a level outside (0, 1), or no groups where they are needed.
         """
         return self._pick(self._alpha(level), joint=True, groups=groups)[..., 0]
@@ -191,7 +188,7 @@ class IntervalCalibrator(CalibratorState):
                 output at level 1 - α/D, which is wider and needs D times the samples.
 
         Raises:
-            NotCalibratedError: before :meth:`fit` or a load, or from a state without joint scores.
+            NotCalibratedError: before :meth:`fit` or a load.
             UncertaintyError: as for :meth:`predict`.
             ConfigurationError: another method.
         """
@@ -231,11 +228,6 @@ class IntervalCalibrator(CalibratorState):
 
     def _table(self, *, joint: bool) -> Tensor:
         """(m, D) sorted scores per output, or (m, 1) of the joint score."""
-        if joint and len(self.joint_scores) == 0:
-            raise NotCalibratedError(
-                "The loaded state was saved before joint scores were kept: fit the calibrator "
-                'again, or ask for the box with method="bonferroni".'
-            )
         return self.joint_scores[:, None] if joint else self.scores
 
     def _widen(

@@ -1,46 +1,15 @@
-"""How many test samples a split conformal interval covers: the exact law, for any distribution."""
+"""How many test samples a split conformal interval covers: the Beta-Binomial law of the count."""
 
 from __future__ import annotations
 
 from fractions import Fraction
-from typing import Protocol
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
 from scipy import stats  # type: ignore[import-untyped]
 
 from uncal.uncertainty.quantile import conformal_rank
 
 
-class DiscreteLaw(Protocol):
-    """What is used of scipy's frozen discrete distributions."""
-
-    def pmf(self, k: ArrayLike) -> NDArray[np.float64]:
-        """P(count = k)."""
-        ...
-
-    def cdf(self, k: ArrayLike) -> NDArray[np.float64]:
-        """P(count ≤ k)."""
-        ...
-
-    def ppf(self, q: ArrayLike) -> NDArray[np.float64]:
-        """The smallest k with cdf(k) ≥ q."""
-        ...
-
-    def isf(self, q: ArrayLike) -> NDArray[np.float64]:
-        """The smallest k with P(count > k) ≤ q."""
-        ...
-
-    def mean(self) -> float:
-        """The expected count."""
-        ...
-
-    def std(self) -> float:
-        """The standard deviation of the count."""
-        ...
-
-
-def coverage_law(n: int, m: int, alpha: float | Fraction) -> DiscreteLaw:
+def coverage_law(n: int, m: int, alpha: float | Fraction) -> stats.distributions.rv_frozen:
     """Law of the number of covered samples among n test samples: Beta-Binomial(n, k, m+1-k).
 
     k = ⌈(m+1)(1-α)⌉. Exact for one output, and for a joint box as a whole, when the m + n samples
@@ -62,8 +31,7 @@ def coverage_law(n: int, m: int, alpha: float | Fraction) -> DiscreteLaw:
     if n < 1:
         raise ValueError(f"n = {n} test samples; the covered count needs at least one.")
     rank = conformal_rank(m, alpha)
-    law: DiscreteLaw = stats.binom(n, 1.0) if rank > m else stats.betabinom(n, rank, m + 1 - rank)
-    return law
+    return stats.binom(n, 1.0) if rank > m else stats.betabinom(n, rank, m + 1 - rank)
 
 
 def coverage_band(

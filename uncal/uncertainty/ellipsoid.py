@@ -54,9 +54,6 @@ class EllipsoidCalibrator(CalibratorState):
             target: (m, D) the truth.
             identity: the predictor.
 
-        Returns:
-            Itself.
-
         Raises:
             UncertaintyError: wrong shapes, or a Σ that is not positive definite.
         """

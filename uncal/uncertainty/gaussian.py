@@ -17,7 +17,7 @@ from uncal.uncertainty.intervals import Anchors
 class GaussianIntervals(IntervalCalibrator):
     """MC dropout alone: [ŷ - z σ, ŷ + z σ] with z = Φ⁻¹(1 - α/2)   (paper, Table 2).
 
-    Promises nothing: it covers 1-α only where the error is normal with the standard deviation σ.
+    No guarantee: it covers 1-α only where the error is normal with the standard deviation σ.
     The box of :meth:`predict_joint` takes the outputs' errors for independent: P(max_j |Z_j| ≤ z)
     = (2Φ(z) - 1)^D = 1-α, so that z is that of the level (1-α)^(1/D) per output. Errors that are
     normal and correlated are covered at least as often (Šidák's inequality), and Bonferroni's z

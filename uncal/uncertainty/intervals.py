@@ -16,7 +16,7 @@ class Intervals:
         std: (..., D) σ as used: after the floor where the method divides by σ, else as given.
         lower: (..., D) lower bounds, such as ŷ - Q σ.
         upper: (..., D) upper bounds, such as ŷ + Q σ.
-        level: the coverage level 1-α that they promise, per output or jointly.
+        level: the nominal coverage 1-α, per output or jointly.
         joint: whether the level is that of all D outputs at once.
     """
 

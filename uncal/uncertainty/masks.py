@@ -28,9 +28,6 @@ def mix(values: Tensor) -> Tensor:
     Args:
         values: int64, any shape; changed in place.
 
-    Returns:
-        The same tensor.
-
     >>> [hex(v & (2**64 - 1)) for v in mix(torch.arange(1, 3) * _GAMMA).tolist()]
     ['0xe220a8397b1dcdaf', '0x6e789e6aa1b965f4']
     """
@@ -131,13 +128,6 @@ class FixedMasks(nn.Module):
 
     def of(self, layer: str, call: int, passes: int, size: int, p: float) -> Tensor:
         """The masks of one layer, scaled by 1/(1-p).
-
-        Args:
-            layer: its name in the network.
-            call: its how many-th use within a pass.
-            passes: N.
-            size: elements per row.
-            p: its rate.
 
         Returns:
             (N, size) float32.

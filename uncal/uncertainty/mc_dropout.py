@@ -163,11 +163,6 @@ class MCDropout:
     ) -> Callable[[], Tensor]:
         """The passes alone, to be run again and again on the same tensors (as a CUDA graph, say).
 
-        Args:
-            *args: the network's arguments, as in a call.
-            seed: as in a call.
-            **kwargs: the network's keyword arguments.
-
         Returns:
             A function that gives the (N, B, D) passes.
         """

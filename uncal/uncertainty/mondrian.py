@@ -25,7 +25,7 @@ class MondrianCalibrator(GroupedCalibrator):
     This is exact as well: among the m+1 frames of the set and the new one, the category "groups of
     at most N frames" does not depend on which frame is the new one, so that these too are covered
     with probability at least 1-α, if only on the whole. The quantile over *all* frames would
-    promise nothing here: large easy groups set it, and small hard ones miss it. Where even the
+    guarantee nothing here: large easy groups set it, and small hard ones miss it. Where even the
     shared category is too small the interval is infinite; for a rig never seen,
     :class:`HierarchicalCalibrator` is the tool. Either is said once per fit, level and group.
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import copy
 import dataclasses
-from collections.abc import Callable, Iterator, Mapping, MutableMapping
+from collections.abc import Iterator, Mapping
 
 from torch import Tensor
 
@@ -30,42 +29,8 @@ def iterate_tensors(tree: object) -> Iterator[Tensor]:
             yield from iterate_tensors(getattr(tree, field.name))
 
 
-def map_tensors(tree: object, function: Callable[[Tensor], Tensor]) -> object:
-    """The same structure with a function applied to every tensor; the rest stays as it is.
-
-    >>> import torch
-    >>> map_tensors((torch.ones(1), ["as it is"]), lambda tensor: tensor + 1)
-    (tensor([2.]), ['as it is'])
-    """
-    if isinstance(tree, Tensor):
-        return function(tree)
-    if type(tree) is dict:
-        return {key: map_tensors(value, function) for key, value in tree.items()}
-    if isinstance(tree, MutableMapping):  # such as transformers' ModelOutput
-        mapped = copy.copy(tree)
-        for key, value in tree.items():
-            mapped[key] = map_tensors(value, function)
-        return mapped
-    if isinstance(tree, Mapping):
-        return {key: map_tensors(value, function) for key, value in tree.items()}
-    if isinstance(tree, tuple):
-        values = tuple(map_tensors(value, function) for value in tree)
-        make = getattr(type(tree), "_make", None)  # of a namedtuple
-        return values if make is None else make(values)
-    if isinstance(tree, list):
-        return [map_tensors(value, function) for value in tree]
-    if dataclasses.is_dataclass(tree) and not isinstance(tree, type):
-        fields = {
-            field.name: map_tensors(getattr(tree, field.name), function)
-            for field in dataclasses.fields(tree)
-            if field.init
-        }
-        return dataclasses.replace(tree, **fields)
-    return tree
-
-
 def is_mappable(tree: object) -> bool:
-    """Whether :func:`map_tensors` reaches all that such a value can hold.
+    """Whether ``apply_to_collection`` of lightning-utilities reaches all that a value can hold.
 
     >>> is_mappable(("name", [1.0, None])), is_mappable(object())
     (True, False)
@@ -77,5 +42,6 @@ def is_mappable(tree: object) -> bool:
     if isinstance(tree, tuple | list):
         return all(is_mappable(value) for value in tree)
     if dataclasses.is_dataclass(tree) and not isinstance(tree, type):
-        return all(is_mappable(getattr(tree, field.name)) for field in dataclasses.fields(tree))
+        fields = (getattr(tree, field.name) for field in dataclasses.fields(tree))
+        return not tree.__dataclass_params__.frozen and all(map(is_mappable, fields))  # type: ignore[attr-defined]
     return False

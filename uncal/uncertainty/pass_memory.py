@@ -36,10 +36,6 @@ class PassMemory:
     def recall(self, split: str, frames: Sequence[str]) -> Tensor | None:
         """Passes of some frames.
 
-        Args:
-            split: that they come from.
-            frames: their names.
-
         Returns:
             (n, B, D), the first n ≤ N passes, as many as are known of all of them; None if of one
             of them none is.

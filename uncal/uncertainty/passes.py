@@ -7,11 +7,12 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 
 import torch
+from lightning_utilities.core.apply_func import apply_to_collection
 from torch import Tensor, nn
 
 from uncal.uncertainty.errors import UncertaintyError
 from uncal.uncertainty.masks import FixedMasks
-from uncal.uncertainty.nested import iterate_tensors, map_tensors
+from uncal.uncertainty.nested import iterate_tensors
 from uncal.uncertainty.replicated import Replicated
 from uncal.uncertainty.shared_prefix import DivergedError, SharedPrefix
 from uncal.uncertainty.stochastic_layers import StochasticLayers
@@ -60,8 +61,7 @@ class Arguments:
         def apply(value: Tensor) -> Tensor:
             return function(value) if value.ndim > 0 and len(value) == self.batch else value
 
-        args = tuple(map_tensors(value, apply) for value in self.args)
-        kwargs = {name: map_tensors(value, apply) for name, value in self.kwargs.items()}
+        args, kwargs = apply_to_collection((self.args, dict(self.kwargs)), Tensor, apply)
         return Arguments(args, kwargs, batch, self.device)
 
     def rows(self, which: slice | list[int]) -> Arguments:

@@ -13,9 +13,10 @@ from contextlib import AbstractContextManager
 from typing import NamedTuple
 
 import torch
+from lightning_utilities.core.apply_func import apply_to_collection
 from torch import Tensor, nn
 
-from uncal.uncertainty.nested import is_mappable, iterate_tensors, map_tensors
+from uncal.uncertainty.nested import is_mappable, iterate_tensors
 from uncal.uncertainty.replicated import Replicated
 from uncal.uncertainty.stochastic_layers import (
     FirstDropout,
@@ -39,12 +40,7 @@ def _source(tensor: Tensor) -> Tensor:
 
 
 def without(network: nn.Module, stochastic: Set[nn.Module]) -> list[nn.Module]:
-    """Modules that have none of some modules inside and are not one of them.
-
-    Args:
-        network: where to look.
-        stochastic: those not to be found inside.
-    """
+    """Modules that have none of some modules inside and are not one of them."""
     pure: dict[nn.Module, bool] = {}
 
     def look(module: nn.Module) -> bool:
@@ -63,12 +59,7 @@ def _is_script(module: nn.Module) -> bool:
 
 
 class SharedPrefix:
-    """Remembers outputs of the modules that run before the first dropout.
-
-    Args:
-        network: the network.
-        active: its active dropout layers.
-    """
+    """Remembers outputs of the modules that run before the first dropout."""
 
     def __init__(self, network: nn.Module, active: Iterable[nn.Module]) -> None:
         self._pure = without(network, set(active))
@@ -99,10 +90,6 @@ class SharedPrefix:
     def replay(self, run: Callable[[], object], times: int) -> object:
         """Run the network with what is known put in, replicated.
 
-        Args:
-            run: calls the network with a replicated batch.
-            times: how often it is replicated.
-
         Returns:
             What ``run`` returns.
 
@@ -130,13 +117,14 @@ class SharedPrefix:
                     raise DivergedError(type(module).__name__)
                 self._position += 1
                 if is_mappable(known.output):
-                    return map_tensors(known.output, self._replicate)
+                    return apply_to_collection(known.output, Tensor, self._replicate)
             elif self._replaying and self._position == len(self._log):
                 tensors = list(iterate_tensors((args, kwargs)))
                 if tensors and all(isinstance(tensor, Replicated) for tensor in tensors):
                     # Behind the first dropout, but on a branch of its own that none has reached.
-                    args, kwargs = map_tensors((args, kwargs), _source)  # type: ignore[misc]
-                    return map_tensors(original(*args, **kwargs), self._replicate)
+                    args, kwargs = apply_to_collection((args, kwargs), Tensor, _source)
+                    output = original(*args, **kwargs)
+                    return apply_to_collection(output, Tensor, self._replicate)
             self._depth += 1
             try:
                 output = original(*args, **kwargs)

@@ -33,22 +33,13 @@ class SinglePass(MCDropout):
         self.passes = 1
 
     def identity(self, passes: int | None = None) -> PredictorIdentity:
-        """Weights alone: no dropout rate plays a part.
-
-        Args:
-            passes: not used.
-        """
+        """Weights alone: no dropout rate plays a part."""
         return PredictorIdentity.of(self.network, 1, rates={})
 
     def __call__(
         self, *args: object, seed: int | Sequence[int] | None = None, **kwargs: object
     ) -> Prediction:
         """Run the pass.
-
-        Args:
-            *args: the network's arguments.
-            seed: not used: nothing is random.
-            **kwargs: the network's keyword arguments.
 
         Returns:
             The output as mean, and σ = 0.

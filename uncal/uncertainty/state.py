@@ -16,15 +16,6 @@ from uncal.uncertainty.fingerprint import PredictorIdentity
 _Self = TypeVar("_Self", bound="CalibratorState")
 
 
-_LATER_BUFFERS = {
-    "joint_scores": torch.empty(0),
-    "scales": torch.empty(0, dtype=torch.float64),
-    "masks_digest": torch.empty(0, dtype=torch.uint8),
-    "written_by": torch.tensor(list(b"conformal"), dtype=torch.uint8),
-}
-"""What states saved by the first versions lack, and what they mean by it."""
-
-
 class CalibratorState(nn.Module):
     """Sorted scores and the identity of the predictor that they belong to.
 
@@ -48,7 +39,7 @@ class CalibratorState(nn.Module):
     scores: Tensor
     """(m, D) nonconformity scores, sorted along dimension 0."""
     joint_scores: Tensor
-    """(m,) scores of all outputs together, sorted; empty in states saved before they were kept."""
+    """(m,) scores of all outputs together, sorted."""
     count: Tensor
     """m, int64; 0 before the fit."""
     sigma_floor: Tensor
@@ -130,9 +121,9 @@ class CalibratorState(nn.Module):
             )
         if differences := known.differences(identity):
             raise PredictorMismatchError(
-                "The calibrator was fitted with another predictor, so that its intervals promise "
-                f"nothing here ({'; '.join(differences)}). Use the predictor it was calibrated "
-                "with, or calibrate again."
+                "The calibrator was fitted with another predictor, so that nothing guarantees the "
+                f"coverage of its intervals here ({'; '.join(differences)}). Use the predictor it "
+                "was calibrated with, or calibrate again."
             )
 
     def _record(self, count: int, identity: PredictorIdentity | None, device: torch.device) -> None:
@@ -176,8 +167,6 @@ class CalibratorState(nn.Module):
         """Take over the incoming sizes and types first: a fresh instance has empty buffers."""
         state = dict(state_dict)
         if prefix + "scores" in state:
-            for name, value in _LATER_BUFFERS.items():
-                state.setdefault(prefix + name, value)
             writer = bytes(state[prefix + "written_by"].tolist()).decode()
             if writer != self.kind:
                 error_msgs.append(

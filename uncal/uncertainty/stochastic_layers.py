@@ -158,10 +158,6 @@ def replaced_forwards(forwards: Mapping[nn.Module, Forward]) -> Iterator[None]:
 def batch_axis(shape: Sequence[int], rows: int) -> int | None:
     """Which axis holds the batch: the first, the second, or the first folded with something.
 
-    Args:
-        shape: of a tensor inside a network.
-        rows: of the network's batch.
-
     >>> batch_axis((6, 7), 6), batch_axis((5, 6, 8), 6), batch_axis((24, 7), 6), batch_axis((5,), 6)
     (0, 1, 0, None)
     """

@@ -53,9 +53,6 @@ _LIBRARIES = ("torch", "lightning", "torchmetrics", "transformers", "uncal")
 def digest_of(value: object) -> str:
     """16 hexadecimal digits of a nesting of dictionaries, lists, strings and numbers.
 
-    Args:
-        value: the order of a dictionary's keys does not matter.
-
     >>> digest_of({"a": 1, "b": [0.5]}) == digest_of({"b": [0.5], "a": 1})
     True
     """
@@ -65,9 +62,6 @@ def digest_of(value: object) -> str:
 
 def digest_of_files(root: Path) -> str:
     """Digest of a folder's files by relative path, size and time of change; contents are not read.
-
-    Args:
-        root: a recording's folder. Hidden files do not count.
 
     Returns:
         16 hexadecimal digits.
@@ -84,9 +78,6 @@ def digest_of_files(root: Path) -> str:
 def digest_of_file(path: Path) -> str:
     """Digest of a file's bytes.
 
-    Args:
-        path: the file.
-
     Returns:
         16 hexadecimal digits.
     """
@@ -98,9 +89,6 @@ def digest_of_code(parts: tuple[str, ...]) -> str:
     """Digest of source files of this package; comments, docstrings and layout do not count.
 
     Of the files as they are when a process first asks, since it goes on with the code it has.
-
-    Args:
-        parts: files or folders, relative to the package; of folders without :data:`APART`.
 
     Returns:
         16 hexadecimal digits.
@@ -115,9 +103,6 @@ def digest_of_code(parts: tuple[str, ...]) -> str:
 
 def digest_of_network(network: nn.Module) -> Mapping[str, str]:
     """Digests of the source of those modules of a network that neither we nor torch bring.
-
-    Args:
-        network: the backbone with its head.
 
     Returns:
         Python module → digest; "source unknown" where there is no file.
@@ -134,9 +119,6 @@ def digest_of_network(network: nn.Module) -> Mapping[str, str]:
 def digest_of_names(names: Iterable[object]) -> str:
     """Digest of some names, whatever their order.
 
-    Args:
-        names: such as frame ids.
-
     >>> digest_of_names(["b", "a"]) == digest_of_names(["a", "b"])
     True
     """
@@ -144,11 +126,7 @@ def digest_of_names(names: Iterable[object]) -> str:
 
 
 def meaning(path: Path) -> str:
-    """A source file's syntax tree as text, without comments, docstrings and line numbers.
-
-    Args:
-        path: of Python source.
-    """
+    """A source file's syntax tree as text, without comments, docstrings and line numbers."""
     text = path.read_text(encoding="utf-8")
     try:
         tree = ast.parse(text)

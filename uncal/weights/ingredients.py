@@ -21,20 +21,13 @@ from uncal.weights.digest import (
     digest_of_network,
 )
 
-ONLY_SHOWN: tuple[str, ...] = (
-    "uncertainty",
-    "overlays",
-    "interval_overlays",
-    "control",
-    "report",
-    "figures",
-    "progress",
-    "divergence",
-    "hparams",
-    "learning_rate",
-    "last",
+LOOK_ON: tuple[str, ...] = (
+    "uncal.callbacks.",
+    "lightning.pytorch.callbacks.LearningRateMonitor",
+    "lightning.pytorch.callbacks.ModelCheckpoint",
 )
-"""Callbacks that look on; any other, such as early stopping, may change what is learnt."""
+"""Callbacks that change nothing that is learnt: those of this package, by where they live, and two
+of Lightning's. Any other, such as early stopping, may."""
 
 NOT_LEARNT: tuple[str, ...] = (
     "default_root_dir",
@@ -48,15 +41,7 @@ NOT_LEARNT: tuple[str, ...] = (
 
 
 def data_ingredients(config: DictConfig, data: CalibrationDataModule) -> dict[str, object]:
-    """What training and passes have in common; looks at every file of the recordings, once.
-
-    Args:
-        config: the run's configuration.
-        data: its recordings.
-
-    Returns:
-        Plain values.
-    """
+    """What training and passes have in common; looks at every file of the recordings, once."""
     recording = _plain(config.dataset.recording)
     recording.pop("root", None)
     return {
@@ -80,19 +65,12 @@ def training_ingredients(
     What changes only the inference is left out: passes, masks, interval method, levels, and who
     calibrates the uncertainty or tests.
 
-    Args:
-        config: the run's configuration.
-        data: its recordings, split.
-        module: its network, not trained yet.
-        trainer: its trainer.
-        shared: :func:`data_ingredients`.
-
     Returns:
         Plain values; the same on every machine for the same data, settings and versions.
     """
     trainer_settings = _plain(config.trainer)
     callbacks = _plain(config.callbacks)
-    checkpoint = callbacks.pop("checkpoint", None)
+    checkpoint = callbacks.get("checkpoint")
     monitored = checkpoint.get("monitor") if isinstance(checkpoint, dict) else None
     return {
         **shared,
@@ -109,7 +87,7 @@ def training_ingredients(
         "trainer": {k: v for k, v in trainer_settings.items() if k not in NOT_LEARNT},
         "device": trainer.strategy.root_device.type,
         "processes": trainer.world_size,
-        "callbacks": {k: v for k, v in callbacks.items() if v and k not in ONLY_SHOWN},
+        "callbacks": {k: v for k, v in callbacks.items() if v and not _looks_on(v)},
         "code": digest_of_code(TRAINING_CODE),
         "network code": dict(digest_of_network(module.estimator)),
         "versions": _versions(),
@@ -122,17 +100,7 @@ def pass_ingredients(
     trainer: lightning.Trainer,
     shared: Mapping[str, object],
 ) -> dict[str, object]:
-    """Everything but their number that decides what the stochastic passes of trained weights give.
-
-    Args:
-        config: the run's configuration.
-        module: its trained network.
-        trainer: its trainer.
-        shared: :func:`data_ingredients`.
-
-    Returns:
-        Plain values.
-    """
+    """All but their number that decides what the stochastic passes of trained weights give."""
     identity = module.engine.identity()
     return {
         **shared,
@@ -151,6 +119,10 @@ def pass_ingredients(
         "network code": dict(digest_of_network(module.estimator)),
         "versions": _versions(),
     }
+
+
+def _looks_on(callback: object) -> bool:
+    return isinstance(callback, dict) and str(callback.get("_target_")).startswith(LOOK_ON)
 
 
 def _versions() -> Mapping[str, str]:

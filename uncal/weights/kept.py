@@ -17,9 +17,6 @@ log = logging.getLogger(__name__)
 def stays_trained(checkpoint: Path) -> Iterator[None]:
     """Say how to go on with trained weights if what follows the training fails.
 
-    Args:
-        checkpoint: of the trained weights.
-
     Raises:
         UncalError: what was raised, with the command that finishes the job.
 
@@ -44,9 +41,6 @@ def stays_trained(checkpoint: Path) -> Iterator[None]:
 def how_to_finish(checkpoint: Path) -> str:
     """The command that makes the table of trained weights.
 
-    Args:
-        checkpoint: of the weights.
-
     >>> print(how_to_finish(Path("out/a b/best.ckpt")).splitlines()[1])
       python -m uncal.evaluate 'ckpt="out/a b/best.ckpt"'
     """
@@ -58,10 +52,6 @@ def how_to_finish(checkpoint: Path) -> str:
 
 def override(key: str, path: Path) -> str:
     """A path as a word of a command line, quoted for Hydra and for the shell.
-
-    Args:
-        key: that is set.
-        path: its value.
 
     >>> print(override("ckpt", Path("out/a=1/best.ckpt")))
     'ckpt="out/a=1/best.ckpt"'

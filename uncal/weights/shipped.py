@@ -29,12 +29,6 @@ def shipped_names() -> list[str]:
 def find_weights(name: str) -> Path:
     """The file of shipped weights, or of somebody's own.
 
-    Args:
-        name: of shipped weights, or a path.
-
-    Returns:
-        The file.
-
     Raises:
         ConfigurationError: there is none.
     """
@@ -49,13 +43,7 @@ def find_weights(name: str) -> Path:
 
 
 def save_shipped(state: dict[str, Tensor], recipe: dict[str, object], path: Path) -> None:
-    """Write weights, calibrator and settings as one file without pickles.
-
-    Args:
-        state: of the module.
-        recipe: of the module.
-        path: ending in .safetensors.
-    """
+    """Write weights, calibrator and settings as one file without pickles."""
     path.parent.mkdir(parents=True, exist_ok=True)
     tensors = {name: value.detach().cpu().contiguous().clone() for name, value in state.items()}
     save_file(tensors, path, metadata={"uncal_recipe": json.dumps(recipe)})
@@ -63,12 +51,6 @@ def save_shipped(state: dict[str, Tensor], recipe: dict[str, object], path: Path
 
 def load_shipped(path: Path) -> tuple[dict[str, Tensor], DictConfig]:
     """Read such a file.
-
-    Args:
-        path: the file.
-
-    Returns:
-        State and settings.
 
     Raises:
         ConfigurationError: it is damaged, or not of this project.
@@ -86,9 +68,6 @@ def load_shipped(path: Path) -> tuple[dict[str, Tensor], DictConfig]:
 
 def load_checkpoint(path: Path) -> tuple[dict[str, Tensor], DictConfig]:
     """State and settings of a Lightning checkpoint that ``uncal.train`` wrote.
-
-    Args:
-        path: the checkpoint.
 
     Raises:
         ConfigurationError: no such file, or not a checkpoint of this project.

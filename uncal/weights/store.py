@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from uncal.locking import locked
-from uncal.reporting.layout import replaced_whole, write_whole
+from uncal.reporting.layout import read_json, replaced_whole, write_whole
 from uncal.weights.digest import digest_of
 
 log = logging.getLogger(__name__)
@@ -72,7 +72,7 @@ class WeightStore:
         """The record of finished weights; None if there are none, or not whole."""
         if not self.checkpoint.is_file():
             return None
-        content = _read(self.folder / RECORD)
+        content = read_json(self.folder / RECORD, "not used")
         try:
             return None if content is None else Trained(**content)  # type: ignore[arg-type]
         except TypeError:
@@ -81,7 +81,7 @@ class WeightStore:
 
     def interrupted(self) -> Path | None:
         """The checkpoint after the last epoch of a training that did not end; None without one."""
-        content = _read(self.folder / UNFINISHED)
+        content = read_json(self.folder / UNFINISHED, "not used")
         last = None if content is None else Path(str(content.get("last")))
         if last is None or not last.is_file():
             return None
@@ -92,11 +92,7 @@ class WeightStore:
         return last
 
     def begin(self, last: Path | None) -> None:
-        """Note where a training that starts now keeps its last epoch.
-
-        Args:
-            last: the checkpoint that will be there after every epoch; None if none is kept.
-        """
+        """Note where a training that starts now keeps its last epoch."""
         text = json.dumps(self.ingredients, indent=1, sort_keys=True)
         write_whole(self.folder / INGREDIENTS, f"{text}\n")
         (self.folder / RECORD).unlink(missing_ok=True)
@@ -107,25 +103,8 @@ class WeightStore:
             write_whole(self.folder / UNFINISHED, f"{note}\n")
 
     def keep(self, checkpoint: Path, trained: Trained) -> None:
-        """Keep finished weights; a reader sees them whole or not at all.
-
-        Args:
-            checkpoint: the best one.
-            trained: how they came about.
-        """
+        """Keep finished weights; a reader sees them whole or not at all."""
         with replaced_whole(self.checkpoint) as partial:
             shutil.copyfile(checkpoint, partial)
         write_whole(self.folder / RECORD, f"{json.dumps(asdict(trained), indent=1)}\n")
         (self.folder / UNFINISHED).unlink(missing_ok=True)
-
-
-def _read(path: Path) -> dict[str, object] | None:
-    """A JSON object; None, and a warning, if there is no such thing."""
-    if not path.is_file():
-        return None
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
-        log.warning("%s cannot be read (%s): not used", path, error)
-        return None
-    return content if isinstance(content, dict) else None

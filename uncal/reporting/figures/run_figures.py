@@ -23,12 +23,6 @@ if TYPE_CHECKING:
 def run_figures(folder: Path, label: str, caveat: str | None = None) -> list[NamedFigure]:
     """Every figure that the files of a run allow; a missing file means fewer figures.
 
-    Args:
-        folder: of a run of ``uncal.train`` or ``uncal.evaluate``.
-        label: what the data are, such as "simulated".
-        caveat: :func:`uncal.reporting.evaluation.band_caveat`; None takes it from the run's
-            ``run.json``, if that knows.
-
     Raises:
         UncalError: a file is damaged.
     """

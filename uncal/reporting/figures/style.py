@@ -94,16 +94,6 @@ def new_figure(
 ) -> tuple[Figure, list[Axes]]:
     """A figure without pyplot, laid out so that nothing overlaps; call it in :func:`paper_style`.
 
-    Args:
-        rows: of panels.
-        columns: of panels.
-        width: inches, such as :data:`SINGLE_COLUMN`.
-        height: inches.
-        label: what the data are, such as "simulated"; stands small and grey in the lower right.
-        sharex: whether all panels have the same x axis.
-        sharey: whether all panels have the same y axis.
-        heights: of the rows, relative to each other; None: equal.
-
     Returns:
         The figure and its panels, row by row.
 
@@ -132,11 +122,7 @@ def light_grid(panels: Iterable[Axes]) -> None:
 
 
 def shared_legend(figure: Figure, panels: Iterable[Axes]) -> Legend:
-    """One legend above all panels, where it hides nothing; what several have is named once.
-
-    Returns:
-        The legend.
-    """
+    """One legend above all panels, where it hides nothing; what several have is named once."""
     handles = {
         text: handle
         for panel in panels
