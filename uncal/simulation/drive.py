@@ -16,6 +16,7 @@ from uncal.simulation.cars import add_cars
 from uncal.simulation.furniture import add_furniture
 from uncal.simulation.lidar import Lidar
 from uncal.simulation.meshes import Mesh
+from uncal.simulation.motion import lidar_motion
 from uncal.simulation.rig import draw_rig
 from uncal.simulation.rigid import inverse
 from uncal.simulation.scene import Scene
@@ -110,7 +111,7 @@ def write_frames(settings: SimulationSettings, piece: Piece, folder: Path) -> in
         image = camera.photograph(scene, T_world_lidar @ T_lidar_cam, light_rng)
         points = lidar.sweep(
             scene,
-            T_world_lidar,
+            T_world_lidar @ lidar_motion(settings, *key),
             generator(settings.seed, Stream.LIDAR, *key),
             velocity=settings.vehicle.speed_mps * T_world_lidar[:3, 0],
         )

@@ -20,6 +20,7 @@ class Stream(IntEnum):
     EVENTS = 7
     EVENT_PIXELS = 8
     STEREO = 9
+    VIBRATION = 10
 
 
 def generator(seed: int, stream: Stream, *indices: int) -> np.random.Generator:
