@@ -206,7 +206,9 @@ def test_dsecs_layout_has_it_too(make_event_settings: MakeSettings, tmp_path: Pa
     nominal = draw_rig(settings, 0).T_cam_lidar
     np.testing.assert_allclose(truth[0], nominal, atol=1e-9)
     np.testing.assert_allclose(truth[1], nominal @ pose_matrix((0, 0, 0.3), (0, 0, 0)), atol=1e-9)
-    moved, still = (Dsec(tmp_path / name, window_ms=50.0) for name in ("moved", "rest"))
+    moved, still = (
+        Dsec(tmp_path / name, window_ms=50.0, min_events=1) for name in ("moved", "rest")
+    )
     assert not list((tmp_path / "rest").rglob(TRUTH_NAME))
     for index, frame_id in enumerate(moved.frame_ids):
         a, b = moved.load(frame_id), still.load(frame_id)
