@@ -92,19 +92,37 @@ class ExchangeabilityMartingale:
     def __init__(self, references: Vector, period: int, seed: int) -> None:
         self.references = np.asarray(references, float)
         self.period = period
-        self.random = np.random.default_rng(seed)
+        self.seed = seed
+        self.tests = 0
         self.restart()
 
     def restart(self) -> None:
         """Begin the next test."""
-        self.count = 0
+        self.tests += 1
+        self.fed: list[Vector] = []
         self.values = [PValues(column) for column in self.references.T.tolist()]
         self.shares = np.zeros((self.references.shape[1], 2, len(EXPONENTS)))
+
+    def go_on(self, tests: int, fed: Vector, shares: Vector) -> None:
+        """Become what another martingale with the same references was.
+
+        Args:
+            tests: how many it had begun.
+            fed: (n, K) values of its present test.
+            shares: its.
+        """
+        self.restart()
+        self.tests = tests
+        self.fed = list(fed)
+        for row in self.fed:
+            for known, value in zip(self.values, row, strict=True):
+                bisect.insort(known.bag, float(value))
+        self.shares = np.array(shares)
 
     @property
     def wealth(self) -> float:
         """At least 0; 1 before the first value."""
-        return float(self.shares.mean()) + 1.0 - self.count / self.period
+        return float(self.shares.mean()) + 1.0 - len(self.fed) / self.period
 
     @property
     def oddest(self) -> int:
@@ -129,9 +147,11 @@ class ExchangeabilityMartingale:
         Returns:
             The wealth after it.
         """
-        if self.count >= self.period:
+        if len(self.fed) >= self.period:
             self.restart()
-        uniform = self.random.uniform(size=len(self.values))
+        # No generator that goes along: what is drawn depends on the place in the stream alone.
+        draw = np.random.default_rng([self.seed, self.tests, len(self.fed)])
+        uniform = draw.uniform(size=len(self.values))
         p = np.array(
             [
                 known.of(float(value), float(u))
@@ -139,5 +159,5 @@ class ExchangeabilityMartingale:
             ]
         )
         self.shares = (self.shares + 1.0 / self.period) * bets(p)
-        self.count += 1
+        self.fed.append(np.array(values, float))
         return self.wealth
