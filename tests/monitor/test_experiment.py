@@ -2,40 +2,47 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pandas as pd
 import pytest
 import torch
 from hydra import compose, initialize_config_dir
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
 from uncal.configuration import CONFIG_DIR
+from uncal.edges.evidence import pack
 from uncal.errors import ConfigurationError
 from uncal.geometry import DOF_NAMES, pose_to_matrix
-from uncal.monitor.evidence import EvidenceReader
-from uncal.monitor.experiment.cases import BLIND, STEP, STILL, Drive, ExperimentSettings
+from uncal.monitor.evidence import Evidence, EvidenceReader
+from uncal.monitor.experiment.cases import FAULT, STEP, STILL, Case, Drive, ExperimentSettings
 from uncal.monitor.experiment.observe import decalibration_of, exchanged, says_moved
 from uncal.monitor.experiment.run import run_experiment
 from uncal.monitor.references import make_references
 from uncal.monitor.settings import MonitorSettings
+from uncal.monitor.statistics import STATISTICS
 from uncal.monitor.verdict import Verdict
 from uncal.recordings.frame import Frame, FrameId
 from uncal.recordings.kitti import KittiRaw
 from uncal.simulation.cache import ensure_simulated
 from uncal.weights.shipped import find_weights
 
+ONSET, FRAMES = 2, 9
+
 TINY = (
-    "experiment.simulation.frames_per_drive=5",
-    "experiment.simulation.lidar.azimuth_step_deg=0.5",
+    f"experiment.simulation.frames_per_drive={FRAMES}",
+    "experiment.simulation.camera={height: 24, width: 64, focal_px: 70.0}",
+    "experiment.simulation.lidar.beams=16",
+    "experiment.simulation.lidar.azimuth_step_deg=1.0",
     "experiment.simulation.scene.view_m=60",
     "experiment.drives={still: 2, step: 2, motion: 1, fault: 1, blind: 2}",
     "experiment.step_cm=[10.0]",
     "experiment.step_deg=[1.0]",
-    "experiment.onset=2",
+    f"experiment.onset={ONSET}",
     "experiment.workers=1",
 )
 
@@ -57,17 +64,17 @@ def test_cases_move_one_dof_each(tmp_path: Path) -> None:
         size += [getattr(motion, key) for key in ("roll_deg", "pitch_deg", "yaw_deg")]
         assert np.flatnonzero(size).tolist() == [DOF_NAMES.index(case.dof)]
         assert sum(size) == case.size
-        assert (motion.first_frame, motion.ramp_frames) == (2, 1)
+        assert (motion.first_frame, motion.ramp_frames) == (ONSET, 1)
     faults = {case.name: case.fault for case in cases if case.fault is not None}
     assert len(faults) == 5
-    assert {(fault.first, fault.last) for fault in faults.values()} == {(2, 4)}
+    assert {(fault.first, fault.last) for fault in faults.values()} == {(ONSET, FRAMES - 1)}
     assert [case.kind for case in cases if case.motion is None and case.fault is None] == [STILL]
 
 
 @pytest.mark.parametrize(
     ("word", "message"),
     [
-        ("experiment.onset=5", r"experiment\.onset=5: expected 1 to 4"),
+        ("experiment.onset=9", r"experiment\.onset=9: expected 1 to 8"),
         ("experiment.drives.step=3", r"experiment\.drives\.step=3: expected 1 to .*still=2"),
         ("experiment.drives.blind=1", r"experiment\.drives\.blind=1: expected 2 to .*step=2"),
         ("+experiment.onsets=5", r"experiment\.onsets: the experiment takes exactly"),
@@ -131,33 +138,81 @@ def test_images_are_exchanged_and_nothing_else() -> None:
             assert (frame.points, frame.K, frame.id) == (own.points, own.K, own.id)
 
 
-@pytest.mark.slow
-def test_a_small_experiment(tmp_path: Path) -> None:
-    """What is known without a monitor: nominal errors, kinds of rows, the files."""
-    config = composed(*TINY, f"experiment.root={tmp_path / 'data'}", "window=2", "level=0.5")
+@pytest.fixture
+def seeing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A reader that knows the truth of a frame, but only if it gets the frame's own image."""
+    known: dict[bytes, tuple[np.ndarray, np.ndarray | None]] = {}
+    recorded = ExperimentSettings.recorded
+
+    def registering(self: ExperimentSettings, case: Case) -> Iterator[Drive]:
+        for drive in recorded(self, case):
+            for frame, truth in zip(drive.frames, drive.truth, strict=True):
+                known[frame.points.tobytes()] = truth, frame.image
+            yield drive
+
+    def evidence(self: EvidenceReader, frame: Frame, T: np.ndarray, *rest: object) -> Evidence:
+        truth, image = known.get(frame.points.tobytes(), (frame.T_cam_lidar, frame.image))
+        information = 1e4 if np.array_equal(frame.image, image) else 0.0
+        D = torch.from_numpy(decalibration_of(T, truth) / self.bounds).float()
+        return Evidence(
+            pack(information * torch.eye(6), information * D)[None], np.ones(len(STATISTICS))
+        )
+
+    monkeypatch.setattr(ExperimentSettings, "recorded", registering)
+    monkeypatch.setattr(EvidenceReader, "evidence", evidence)
+
+
+def test_with_a_reader_that_knows_the_truth(tmp_path: Path, seeing: None) -> None:
+    """Every number is known beforehand, and a camera's image is what makes the difference."""
+    words = ["window=2", "level=0.5", "exchangeable=window", "sensors.min_points=100"]
+    config = composed(*TINY, *words, f"experiment.root={tmp_path / 'data'}")
     settings = ExperimentSettings.of(config.experiment)
-    monitor = MonitorSettings.shipped(window=2, level=0.5, exchangeable="window")
-    config.exchangeable = "window"
+    monitor = MonitorSettings.of(cast("dict[str, object]", OmegaConf.to_container(config)))
     other = replace(settings.simulation, seed=5, n_rigs=2)
     ensure_simulated(other, tmp_path / "references", 1)
     reader = EvidenceReader(find_weights("unical"), torch.device("cpu"), monitor.seed)
     references = make_references(KittiRaw(tmp_path / "references"), reader, monitor, "small")
     config.references = str(references.save(tmp_path / "small.npz"))
     page = run_experiment(config, tmp_path, "python -m …")
-    rows = pd.read_csv(tmp_path / "observations.csv", keep_default_na=False)
+
     assert (tmp_path / "monitor.md").read_text(encoding="utf-8") == page
-    assert set(rows["watcher"]) == {"monitor", BLIND}
+    assert "X 10.0 cm" in page
+    rows = pd.read_csv(tmp_path / "observations.csv", keep_default_na=False)
     per_case = rows[rows["watcher"] == "monitor"].groupby("kind").size()
-    assert per_case.to_dict() == {STILL: 10, STEP: 60, "ramp": 5, "vibration": 5, "fault": 25}
-    assert not rows[rows["watcher"] == BLIND]["updated"].any()
+    n = FRAMES
+    assert per_case.to_dict() == {
+        STILL: 2 * n,
+        STEP: 12 * n,
+        "ramp": n,
+        "vibration": n,
+        FAULT: 5 * n,
+    }
     nominal = rows[[f"nominal {dof}" for dof in DOF_NAMES]].to_numpy(float)
-    moved = (rows["kind"] == STEP) & (rows["number"] >= 2)
-    assert np.abs(nominal[(rows["kind"] == STILL) | (rows["number"] < 2)]).max() < 1e-9
+    assert np.abs(nominal[(rows["kind"] == STILL) | (rows["number"] < ONSET)]).max() < 1e-9
     expected = np.diag([-0.1] * 3 + [-np.pi / 180] * 3)
     for j, dof in enumerate(DOF_NAMES):
-        chosen = moved & (rows["dof"] == dof)
-        np.testing.assert_allclose(nominal[chosen], np.tile(expected[j], (12, 1)), atol=1e-6)
-    black = rows[(rows["case"] == "black camera") & (rows["number"] >= 2)]
+        chosen = (rows["kind"] == STEP) & (rows["number"] >= ONSET) & (rows["dof"] == dof)
+        found = nominal[chosen]
+        np.testing.assert_allclose(found, np.tile(expected[j], (len(found), 1)), atol=1e-6)
+    black = rows[(rows["case"] == "black camera") & (rows["number"] >= ONSET)]
     assert (black["verdict"] == "untrusted").all()
-    assert "| step | X" not in page
-    assert "X 10.0 cm" in page
+
+    detection = pd.read_csv(tmp_path / "monitor_detection.csv")
+    steps = detection[detection["case"] == STEP]
+    assert steps["dof"].tolist() == list(DOF_NAMES)
+    for watcher in ("monitor", "single"):
+        assert (steps[f"{watcher}_detected"] == 100).all()
+        assert (steps[f"{watcher}_delay"] == 0).all()
+    alarms = pd.read_csv(tmp_path / "monitor_alarms.csv").set_index("watcher")
+    assert (alarms["alarms"] == 0).all()
+    error = pd.read_csv(tmp_path / "monitor_error.csv").set_index("dof").loc[list(DOF_NAMES)]
+    np.testing.assert_allclose(error["nothing_dof"], [10, 10, 10, 1, 1, 1], rtol=1e-6)
+    assert (error["monitor_dof"] < 0.6 * error["nothing_dof"]).all()
+    assert (error["single_dof"] < 0.01 * error["nothing_dof"]).all()
+    updates = pd.read_csv(tmp_path / "monitor_updates.csv").set_index("kind")
+    assert updates.loc[STEP, "updates"] > 0
+    assert updates.loc[STEP, "harmful"] == updates.loc[STILL, "updates"] == 0
+    blind = pd.read_csv(tmp_path / "monitor_blind.csv").set_index("watcher")
+    np.testing.assert_allclose(blind.loc["monitor", "response"], 1.0, atol=0.01)
+    np.testing.assert_allclose(blind.loc["blind", "response"], 0.0, atol=0.01)
+    assert (blind.loc["blind", "alarmed_after"] == 0).all()
