@@ -74,7 +74,8 @@ def test_cases_move_one_dof_each(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("word", "message"),
     [
-        ("experiment.onset=9", r"experiment\.onset=9: expected 1 to 8"),
+        ("experiment.onset=9", r"experiment\.onset=9, frames=9: expected 1 <= onset <"),
+        ("experiment.frames=10", r"frames=10: expected .* <= simulation\.frames_per_drive=9"),
         ("experiment.drives.step=3", r"experiment\.drives\.step=3: expected 1 to .*still=2"),
         ("experiment.drives.blind=1", r"experiment\.drives\.blind=1: expected 2 to .*step=2"),
         ("+experiment.onsets=5", r"experiment\.onsets: the experiment takes exactly"),

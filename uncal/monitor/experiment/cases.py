@@ -73,6 +73,7 @@ class ExperimentSettings:
 
     root: str
     workers: int | None
+    frames: int
     onset: int
     limit_cm: float
     limit_deg: float
@@ -114,9 +115,8 @@ class ExperimentSettings:
                 made.append(Case(STEP, name, self.drives[STEP], dof, float(size), motion))
         for name, motion in self.motions.items():
             made.append(Case(name, name, self.drives["motion"], motion=self._motion(motion)))
-        last = self.simulation.frames_per_drive - 1
         for name, target in self.faults.items():
-            fault = instantiate(dict(target), first=self.onset, last=last)
+            fault = instantiate(dict(target), first=self.onset, last=self.frames - 1)
             made.append(Case(FAULT, name, self.drives[FAULT], fault=fault))
         return made
 
@@ -138,9 +138,10 @@ class ExperimentSettings:
                 recording.load(frame_id)
                 for frame_id in recording.frame_ids
                 if (frame_id.rig, frame_id.drive) == (rig, drive)
-            ]
+            ][: self.frames]
             nominal = np.stack([frame.T_cam_lidar for frame in frames])
-            yield Drive(drive, frames, read_truth(root / rig / drive) if moving else nominal)
+            truth = read_truth(root / rig / drive)[: len(frames)] if moving else nominal
+            yield Drive(drive, frames, truth)
 
     def _motion(self, changes: Mapping[str, float]) -> MotionSettings:
         still = dict.fromkeys((*KEYS, "vibration_cm", "vibration_deg"), 0.0)
@@ -162,8 +163,8 @@ class ExperimentSettings:
                 f"experiment.drives.{BLIND}={self.drives[BLIND]}: expected 2 to "
                 f"experiment.drives.{STEP}={self.drives[STEP]}; images are exchanged among them"
             )
-        if not 1 <= self.onset < self.simulation.frames_per_drive:
+        if not 1 <= self.onset < self.frames <= self.simulation.frames_per_drive:
             raise ConfigurationError(
-                f"experiment.onset={self.onset}: expected 1 to "
-                f"{self.simulation.frames_per_drive - 1}, within the drives"
+                f"experiment.onset={self.onset}, frames={self.frames}: expected 1 <= onset < "
+                f"frames <= simulation.frames_per_drive={self.simulation.frames_per_drive}"
             )

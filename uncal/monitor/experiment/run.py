@@ -95,7 +95,7 @@ def _notes(settings: ExperimentSettings, monitor: Monitor, cases: list[Case]) ->
         f"**Simulated**, rigs that no training has seen: {settings.drives[STILL]} drives at rest, "
         f"{sum(case.drives for case in moving)} in which the LiDAR moves in its mount and the "
         f"nominal extrinsic is assumed ({len(moving)} motions of the same first streets), of "
-        f"{street.frames_per_drive} frames {interval:g} s apart; motions and faults begin at "
+        f"{settings.frames} frames {interval:g} s apart; motions and faults begin at "
         f"frame {settings.onset} and last to the end. Every drive begins with a fresh monitor."
     )
     yield (
