@@ -65,13 +65,13 @@ def test_alarms_are_runs_of_frames_and_end_with_the_drive() -> None:
     alarm: dict[str, object] = {"alarm": True}
     table = experiment(
         drive({2: alarm, 3: alarm, 6: alarm, 9: alarm}, drive="a"),
-        drive({0: alarm, 5: {"untrusted": True}}, drive="b"),
+        drive({0: alarm, 1: alarm, 5: {"untrusted": True}}, drive="b"),  # 0: no full window
         drive({4: alarm}, **STEP),  # of a drive in which something moves
     ).alarms()
     by = table.set_index("watcher")
-    hours = 20 * 0.4 / 3600
+    hours = 18 * 0.4 / 3600
     assert by.loc["monitor", "alarms"] == 4
-    assert by.loc["monitor", "alarmed_frames"] == 25.0
+    assert by.loc["monitor", "alarmed_frames"] == pytest.approx(100 * 5 / 18)
     assert by.loc["monitor", "per_hour"] == pytest.approx(4 / hours)
     assert by.loc["monitor: untrusted", "alarms"] == 1
     none = by.loc["running mean, fixed limit"]
@@ -136,7 +136,7 @@ def test_faults_are_flagged_only_once_they_are_there() -> None:
     ).faults()
     (row,) = table.to_dict("records")
     assert row["untrusted"] == pytest.approx(100 * 5 / 12)
-    assert row["untrusted_before"] == pytest.approx(100 / 8)
+    assert row["untrusted_before"] == pytest.approx(100 / 6)
     assert (row["flagged"], row["delay"]) == (50.0, 1.0)
     assert row["says_moved"] == pytest.approx(100 / 12)
     assert (row["updates"], row["harmful"]) == (1, 1)

@@ -16,7 +16,7 @@ NAME = "monitor"
 ABOUT: dict[str, str] = {
     "detection": "Share of drives in which the move is noticed within the rest of the drive, and "
     "the median delay in frames from the first moved frame (0: at once), of those drives.",
-    "alarms": "Drives at rest. An alarm is a run of frames that say that the extrinsic is wrong; "
+    "alarms": "Drives at rest, from the first full window on. An alarm is a run of frames that say that the extrinsic is wrong; "
     "upper: one-sided 95 % bound, if alarms were a Poisson process.",
     "error": "Mean over the last window of each drive, of the DoF that moved (its unit) and of all "
     "translations and rotations (norm). Monitor: the extrinsic in use; mean and single: the "
@@ -27,7 +27,8 @@ ABOUT: dict[str, str] = {
     "updates": "Changes of the extrinsic in use; harmful: the root mean square over the DoF, in "
     "units of the range of decalibrations (10 cm, 1°), is larger after it. Largest harm: by how "
     "much.",
-    "faults": "Share of the faulty frames with the verdict untrusted, and before the fault; share "
+    "faults": "Share of frames with the verdict untrusted before the fault (from the first full "
+    "window on) and during it; share "
     "of drives flagged at least once; median delay in frames; share of faulty frames that say "
     "instead that the LiDAR has moved; updates during the fault.",
     "blind": "The monitor, and the same one fed with the images of another drive (which never "

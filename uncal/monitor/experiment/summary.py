@@ -71,7 +71,7 @@ class Experiment:
 
     def alarms(self) -> pd.DataFrame:
         """False alarms where nothing moves, and how often the monitor is needlessly untrusting."""
-        rows = self._of(MONITOR, STILL)
+        rows = self._begun(self._of(MONITOR, STILL))
         flags = {name: self.flagged(rows, watcher) for watcher, name in WATCHERS.items()}
         flags["monitor: untrusted"] = rows["untrusted"].to_numpy(bool)
         hours = len(rows) * self.interval_s / 3600
@@ -173,15 +173,14 @@ class Experiment:
             rows = every[every["case"] == case]
             delays = self._delays(rows, rows["untrusted"].to_numpy(bool))
             during = rows[rows["number"] >= self.onset]
+            before = self._begun(rows[rows["number"] < self.onset])
             moved = during[during["updated"]]
             worse = self.size(vectors(moved, "after")) > self.size(vectors(moved, "before"))
             found.append(
                 {
                     "fault": case,
                     "drives": rows["drive"].nunique(),
-                    "untrusted_before": float(
-                        100 * rows[rows["number"] < self.onset]["untrusted"].mean()
-                    ),
+                    "untrusted_before": float(100 * before["untrusted"].mean()),
                     "untrusted": float(100 * during["untrusted"].mean()),
                     "flagged": float(100 * np.isfinite(delays).mean()),
                     "delay": _median(delays[np.isfinite(delays)]),
@@ -242,6 +241,10 @@ class Experiment:
 
     def _of(self, watcher: str, kind: str) -> pd.DataFrame:
         return self.rows[(self.rows["watcher"] == watcher) & (self.rows["kind"] == kind)]
+
+    def _begun(self, rows: pd.DataFrame) -> pd.DataFrame:
+        """Without the frames that fill the first window of a drive."""
+        return rows[rows["number"] >= self.window - 1]
 
     def _cases(self, moving: bool) -> Iterator[tuple[str, str, float, pd.DataFrame]]:
         """Kind, DoF, size and rows of the monitor; ``moving``: none at rest."""
