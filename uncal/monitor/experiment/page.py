@@ -16,8 +16,8 @@ NAME = "monitor"
 ABOUT: dict[str, str] = {
     "detection": "Share of drives in which the move is noticed within the rest of the drive, and "
     "the median delay in frames from the first moved frame (0: at once), of those drives.",
-    "alarms": "Drives at rest, from the first full window on. An alarm is a run of frames that say that the extrinsic is wrong; "
-    "upper: one-sided 95 % bound, if alarms were a Poisson process.",
+    "alarms": "Drives at rest, from the first full window on. An alarm is a run of frames that say "
+    "that the extrinsic is wrong; upper: one-sided 95 % bound, if alarms were a Poisson process.",
     "error": "Mean over the last window of each drive, of the DoF that moved (its unit) and of all "
     "translations and rotations (norm). Monitor: the extrinsic in use; mean and single: the "
     "nominal one corrected by that estimate.",
@@ -27,10 +27,9 @@ ABOUT: dict[str, str] = {
     "updates": "Changes of the extrinsic in use; harmful: the root mean square over the DoF, in "
     "units of the range of decalibrations (10 cm, 1°), is larger after it. Largest harm: by how "
     "much.",
-    "faults": "Share of frames with the verdict untrusted before the fault (from the first full "
-    "window on) and during it; share "
-    "of drives flagged at least once; median delay in frames; share of faulty frames that say "
-    "instead that the LiDAR has moved; updates during the fault.",
+    "faults": "Share of frames with the verdict untrusted, before the fault (from the first full "
+    "window on) and during it; share of drives flagged at least once; median delay in frames; "
+    "share of faulty frames that say instead that the LiDAR has moved; updates during the fault.",
     "blind": "The monitor, and the same one fed with the images of another drive (which never "
     "updates). Response: change of the running mean against the same drive without the step, over "
     "the true change; 1 follows the move, 0 does not.",
