@@ -59,7 +59,7 @@ def test_the_trainings_of_shipped_weights_compose(name: str) -> None:
 
 
 def test_the_experiment_of_the_monitor_composes() -> None:
-    config = composed("monitor", "+sweeps=monitor", "weights=unical")
+    config = composed("monitor", "+sweeps=monitor")
     assert config.hydra.mode != RunMode.MULTIRUN
     settings = ExperimentSettings.of(config.experiment)
     cases = settings.cases()
