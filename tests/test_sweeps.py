@@ -10,11 +10,15 @@ from hydra.types import RunMode
 from omegaconf import DictConfig
 
 from uncal.configuration import CONFIG_DIR
+from uncal.monitor.experiment.cases import ExperimentSettings
 
 ROOT = Path(__file__).parents[1]
 SWEEPS = sorted(path.stem for path in (ROOT / "sweeps").glob("*.yaml"))
 SINGLE = ("full_muliev", "full_unical")
 """One training each, not a multirun."""
+
+OWN = ("monitor",)
+"""Of an entry point of its own."""
 
 
 def composed(entry_point: str, *overrides: str) -> DictConfig:
@@ -32,7 +36,7 @@ def test_the_sweeps_are_the_documented_ones() -> None:
 
 @pytest.mark.parametrize(
     ("entry_point", "name"),
-    [("train", name) for name in SWEEPS if name not in SINGLE]
+    [("train", name) for name in SWEEPS if name not in (*SINGLE, *OWN)]
     + [("evaluate", "passes"), ("evaluate", "gaussian")],
 )
 def test_first_jobs_and_last_compose(entry_point: str, name: str) -> None:
@@ -52,6 +56,21 @@ def test_the_trainings_of_shipped_weights_compose(name: str) -> None:
     camera = config.dataset.simulation.camera
     assert list(config.dataset.image_size) == [camera.height, camera.width]
     assert config.model.name == name.removeprefix("full_")
+
+
+def test_the_experiment_of_the_monitor_composes() -> None:
+    config = composed("monitor", "+sweeps=monitor")
+    assert config.hydra.mode != RunMode.MULTIRUN
+    settings = ExperimentSettings.of(config.experiment)
+    cases = settings.cases()
+    assert len({case.name for case in cases}) == len(cases) == 1 + 6 * 3 + 2 + 5
+    shipped = composed("train", "+sweeps=full_unical").dataset.simulation
+    own = config.experiment.simulation
+    assert (own.camera, own.lidar, own.rig) == (shipped.camera, shipped.lidar, shipped.rig)
+    assert own.seed not in (
+        shipped.seed,
+        composed("train", "dataset=unseen_rigs").dataset.simulation.seed,
+    )
 
 
 def test_only_the_vertical_resolution_changes_with_the_beams() -> None:

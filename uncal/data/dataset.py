@@ -177,10 +177,22 @@ class FrameDataset(Dataset[Item]):
         self, index: int, frame_id: FrameId, fixed: Tensor | None
     ) -> Sample | SkippedFrame:
         try:
-            frame = self.recording.load(frame_id)
-            camera, K = self._camera(frame)
+            return self.sample(self.recording.load(frame_id), index, fixed)
         except FrameError as error:
             return SkippedFrame(frame_id, str(error))
+
+    def sample(self, frame: Frame, place: int, decalibration: Tensor | None) -> Sample:
+        """A frame at the network's size and culled.
+
+        Args:
+            frame: as a recording loads it.
+            place: number of its unit in the split.
+            decalibration: (6,) fixed draw, or None.
+
+        Raises:
+            FrameError: the frame's image cannot be brought to the network's size.
+        """
+        camera, K = self._camera(frame)
         points = frame.points
         if frame.twist is not None:
             points = untwisted(points, frame.twist)
@@ -193,14 +205,14 @@ class FrameDataset(Dataset[Item]):
             self.decalibration.translation,
         )
         return Sample(
-            place=index,
-            frame=frame_id,
+            place=place,
+            frame=frame.id,
             camera=camera,
             points=torch.from_numpy(points[near]),
             edges=torch.from_numpy(self._edges(frame, K)),
             K=torch.from_numpy(K.astype(np.float32)),
             T_cam_lidar=torch.from_numpy(frame.T_cam_lidar.astype(np.float32)),
-            decalibration=fixed,
+            decalibration=decalibration,
         )
 
     def _edges(self, frame: Frame, K: NDArray[np.float64]) -> NDArray[np.float32]:

@@ -108,12 +108,59 @@ class LastRound(nn.Module):
             (B, 6, 6) and (B, 6) normal equations of what is left of the decalibration.
         """
         J = projected.jacobian
+        mean, weight = self.factors(curves, weights, projected, covariance, level)
+        weighted = (J * weight[..., None]).transpose(1, 2)
+        return weighted @ J, (weighted @ mean[..., None]).squeeze(-1)
+
+    def factors(
+        self,
+        curves: Tensor,
+        weights: Tensor,
+        projected: ProjectedEdges,
+        covariance: Tensor,
+        level: int,
+    ) -> tuple[Tensor, Tensor]:
+        """Gaussian contribution of each edge.
+
+        Args:
+            curves: (B, M, R) log-likelihoods.
+            weights: (B, M) how much each edge counts.
+            projected: the edges.
+            covariance: (B, 6, 6) of the pose, in units of the range.
+            level: which of :data:`~uncal.models.evidence.STRIDES`.
+
+        Returns:
+            (B, M) offsets in pixels, and (B, M) precisions in 1/pixels².
+        """
+        J = projected.jacobian
         variance = ((J @ covariance) * J).sum(-1) + (2 * self.log_blur[level]).exp()
         offsets = offsets_of(STRIDES[level], self.network.reach[level], curves)
         mean, precision = gaussian_factors(curves, offsets, variance, STRIDES[level])
-        weight = precision * weights * self.log_share[level].exp()
+        return mean, precision * weights * self.log_share[level].exp()
+
+    def residual(self, x: Tensor, edges: Tensor, K: Tensor, T: Tensor, covariance: Tensor) -> Tensor:
+        """How far from their places in the image the solved pose leaves the edges.
+
+        Args:
+            x: (B, C, H, W) network input.
+            edges: (B, M, columns).
+            K: (B, 3, 3) camera matrices.
+            T: (B, 4, 4) extrinsics as they are assumed now.
+            covariance: (B, 6, 6) of the pose, in units of the range.
+
+        Returns:
+            (B,) root of the weighted mean of squared offsets, pixels.
+        """
+        level = len(STRIDES) - 1
+        projected, read = self.look(x, edges, K, T)
+        curves, weights = self.network.curves(read, edges, K, projected, level)
+        mean, weight = self.factors(curves, weights, projected, covariance, level)
+        J = projected.jacobian
         weighted = (J * weight[..., None]).transpose(1, 2)
-        return weighted @ J, (weighted @ mean[..., None]).squeeze(-1)
+        normal = weighted @ J + torch.linalg.inv(covariance)
+        step = torch.linalg.solve(normal, weighted @ mean[..., None])
+        left = mean - (J @ step).squeeze(-1)
+        return ((weight * left**2).sum(-1) / weight.sum(-1).clamp(min=1e-9)).sqrt()
 
 
 class Look(nn.Module):

@@ -49,19 +49,7 @@ class SplitPrediction:
         """
         mean, *rest = torch.split(answer.samples.mean(0), 6, dim=1)
         bounds = (rest[0], rest[1]) if rest else None
-        passes = answer.samples[..., :6]
-        if spread == "dropout":
-            covariance, std = _covariance(passes), passes.std(0, correction=0)
-        else:
-            if answer.covariance is None:
-                raise ConfigurationError(
-                    f"mcd.spread={spread} needs the covariance of a solver, which this network "
-                    "has not: use mcd.spread=dropout, or model/backbone=edges"
-                )
-            covariance = answer.covariance
-            if spread == "total":
-                covariance = covariance + _covariance(passes)
-            std = covariance.diagonal(dim1=1, dim2=2).sqrt()
+        std, covariance = spread_of(answer, spread)
         return cls(batch.place, mean, std, batch.target, covariance, bounds)
 
     def to(self, device: torch.device | str) -> SplitPrediction:
@@ -87,6 +75,33 @@ class SplitPrediction:
         """
         chosen = [frames[i] for i in self.place.tolist()]
         return [f.rig if by == "rig" else f"{f.rig}/{f.drive}" for f in chosen]
+
+
+def spread_of(answer: Answer, spread: str) -> tuple[Tensor, Tensor]:
+    """σ and covariance of the error, of the kind asked for.
+
+    Args:
+        answer: of the stochastic passes.
+        spread: one of :data:`SPREADS`.
+
+    Returns:
+        (n, 6) and (n, 6, 6), metres and radians.
+
+    Raises:
+        ConfigurationError: the solver's covariance of a network without a solver.
+    """
+    passes = answer.samples[..., :6]
+    if spread == "dropout":
+        return passes.std(0, correction=0), _covariance(passes)
+    if answer.covariance is None:
+        raise ConfigurationError(
+            f"mcd.spread={spread} needs the covariance of a solver, which this network "
+            "has not: use mcd.spread=dropout, or model/backbone=edges"
+        )
+    covariance = answer.covariance
+    if spread == "total":
+        covariance = covariance + _covariance(passes)
+    return covariance.diagonal(dim1=1, dim2=2).sqrt(), covariance
 
 
 def frame_seed(seed: int, split: str, frame: FrameId) -> int:

@@ -18,6 +18,7 @@ from uncal.simulation.furniture import add_furniture
 from uncal.simulation.kitti_motion import oxts_line
 from uncal.simulation.lidar import Lidar
 from uncal.simulation.meshes import Mesh
+from uncal.simulation.motion import lidar_motion
 from uncal.simulation.rig import draw_rig
 from uncal.simulation.rigid import inverse
 from uncal.simulation.scene import Scene
@@ -114,7 +115,7 @@ def write_frames(settings: SimulationSettings, piece: Piece, folder: Path) -> in
         image = camera.photograph(scene, T_world_lidar @ T_lidar_cam, light_rng)
         points = lidar.sweep(
             scene,
-            T_world_lidar,
+            T_world_lidar @ lidar_motion(settings, *key),
             generator(settings.seed, Stream.LIDAR, *key),
             velocity=velocity,
         )

@@ -16,6 +16,7 @@ from uncal.simulation.event_camera import EventCamera, SensorEvents
 from uncal.simulation.event_optics import draw_optics
 from uncal.simulation.lidar import Lidar
 from uncal.simulation.luminance import LuminanceMeter
+from uncal.simulation.motion import lidar_motion
 from uncal.simulation.rig import draw_rig
 from uncal.simulation.rigid import inverse
 from uncal.simulation.seeding import Stream, generator
@@ -142,7 +143,7 @@ def record(settings: SimulationSettings, piece: Piece) -> Recorded:
         sweeps.append(
             lidar.sweep_with_rings(
                 scene,
-                T_world_lidar,
+                T_world_lidar @ lidar_motion(settings, *key),
                 lidar_rng,
                 velocity=settings.vehicle.speed_mps * T_world_lidar[:3, 0],
             )

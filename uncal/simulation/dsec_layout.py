@@ -21,6 +21,7 @@ from uncal.simulation.dsec_files import (
     write_rectify_map,
 )
 from uncal.simulation.event_optics import FRAME_SCALE, EventOptics, draw_optics
+from uncal.simulation.motion import write_truth
 from uncal.simulation.rig import draw_rig
 from uncal.simulation.settings import SimulationSettings
 
@@ -88,6 +89,7 @@ class DsecLayout:
             # No pictures are simulated, but readers may look for their times.
             times = "".join(f"{time}\n" for time in sweep_times(self.settings, sequence))
             (folder / "images/timestamps.txt").write_text(times)
+            write_truth(self.settings, rig, sequence, folder)
         lidar.mkdir(parents=True)
         write_lidar_bag(lidar / "lidar_imu.bag", self._scans(rig, partial))
         write_cam_to_lidar(lidar / "cam_to_lidar.yaml", optics.T_lidar_camRect1)

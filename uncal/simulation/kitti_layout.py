@@ -9,6 +9,7 @@ from pathlib import Path
 
 from uncal.simulation.calibration_files import write_calibration
 from uncal.simulation.drive import Piece, write_frames
+from uncal.simulation.motion import write_truth
 from uncal.simulation.rig import draw_rig, rig_date
 from uncal.simulation.settings import SimulationSettings
 from uncal.simulation.trajectory import drive_speed
@@ -55,6 +56,7 @@ def prepare_date_folder(settings: SimulationSettings, index: int, folder: Path) 
         for sensor in (*SENSORS, "oxts"):
             (name / sensor / "data").mkdir(parents=True)
             (name / sensor / "timestamps.txt").write_text(stamps)
+        write_truth(settings, index, drive, name)
 
 
 def is_complete(settings: SimulationSettings, folder: Path, date: str) -> bool:

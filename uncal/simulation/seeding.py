@@ -21,6 +21,7 @@ class Stream(IntEnum):
     EVENT_PIXELS = 8
     STEREO = 9
     SPEED = 10
+    VIBRATION = 11
 
 
 def generator(seed: int, stream: Stream, *indices: int) -> np.random.Generator:

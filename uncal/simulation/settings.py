@@ -1,7 +1,7 @@
 """Settings of the simulator: frozen, complete, checked; every default lives in the YAML.
 
-The groups mirror ``conf/simulation/street.yaml`` and ``event_street.yaml``, which say what each key
-means.
+The groups mirror ``conf/simulation/street.yaml``, ``event_street.yaml`` and ``motion/step.yaml``,
+which say what each key means.
 """
 
 from __future__ import annotations
@@ -140,11 +140,30 @@ class EventSettings(SettingsGroup):
 
 
 @dataclass(frozen=True)
+class MotionSettings(SettingsGroup):
+    """How the LiDAR moves in its mount during every drive; see the YAML for units."""
+
+    key: ClassVar[str] = "simulation.motion"
+    first_frame: Annotated[int, Within(0, 1_000_000)]
+    ramp_frames: Annotated[int, Within(1, 1_000_000)]
+    x_cm: Annotated[float, Within(-100.0, 100.0)]
+    y_cm: Annotated[float, Within(-100.0, 100.0)]
+    z_cm: Annotated[float, Within(-100.0, 100.0)]
+    roll_deg: Annotated[float, Within(-10.0, 10.0)]
+    pitch_deg: Annotated[float, Within(-10.0, 10.0)]
+    yaw_deg: Annotated[float, Within(-10.0, 10.0)]
+    vibration_cm: Annotated[float, Within(0.0, 20.0)]
+    vibration_deg: Annotated[float, Within(0.0, 5.0)]
+    vibration_hz: Annotated[float, Within(0.0, 1000.0)]
+
+
+@dataclass(frozen=True)
 class SimulationSettings(SettingsGroup):
     """Everything that determines the simulated files.
 
     Two equal settings give byte-identical recordings on one platform. With ``events`` the camera
     is an event camera and the layout DSEC's; without, it takes pictures and the layout is KITTI's.
+    With ``motion`` the LiDAR moves, and the calibration files do not follow.
     """
 
     key: ClassVar[str] = "simulation"
@@ -158,10 +177,16 @@ class SimulationSettings(SettingsGroup):
     vehicle: VehicleSettings
     scene: SceneSettings
     events: EventSettings | None = None
+    motion: MotionSettings | None = None
 
     def __post_init__(self) -> None:
-        """Check bounds, and that a recording with events fits its clocks."""
+        """Check bounds, that a motion begins, and that a recording with events fits its clocks."""
         super().__post_init__()
+        if self.motion is not None and self.motion.first_frame >= self.frames_per_drive:
+            raise ConfigurationError(
+                f"simulation.motion.first_frame is {self.motion.first_frame}; it must be smaller "
+                f"than simulation.frames_per_drive, which is {self.frames_per_drive}"
+            )
         if self.events is None:
             return
         if self.drives_per_rig > MAX_SEQUENCES:

@@ -75,8 +75,8 @@ class SettingsGroup:
         if missing:
             raise ConfigurationError(
                 f"missing setting {', '.join(f'{cls.key}.{name}' for name in missing)}; "
-                "conf/simulation/street.yaml (events: event_street.yaml) lists every key with its "
-                "unit"
+                "conf/simulation/street.yaml (events: event_street.yaml, motion: motion/step.yaml) "
+                "lists every key with its unit"
             )
         given = [name for name in names if name in mapping]
         return cls(**{name: _convert(cls.key, name, hints[name], mapping[name]) for name in given})

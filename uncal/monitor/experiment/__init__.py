@@ -1,0 +1,1 @@
+"""Does the monitor work? Simulated drives in which the LiDAR moves, faults, and neither."""

@@ -1,0 +1,278 @@
+"""The monitor as a library: one frame in, one verdict out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from uncal.errors import ConfigurationError, FrameError
+from uncal.geometry import matrix_to_pose
+from uncal.monitor.adaptive import Quantiles, make_quantiles, scores_of
+from uncal.monitor.decision import Interval, decide
+from uncal.monitor.evidence import Estimate, Evidence, EvidenceReader
+from uncal.monitor.extrinsic import Change, ExtrinsicInUse
+from uncal.monitor.martingale import ExchangeabilityMartingale
+from uncal.monitor.references import FLOOR, References, fingerprint, references_beside
+from uncal.monitor.settings import MonitorSettings
+from uncal.monitor.statistics import WINDOWED, SensorCheck
+from uncal.monitor.verdict import UNTRUSTED, Verdict
+from uncal.monitor.window import Window
+from uncal.recordings.frame import Frame, FrameId
+from uncal.uncertainty.calibrator import IntervalCalibrator
+from uncal.weights.shipped import find_weights
+
+Vector = NDArray[np.float64]
+
+
+class Monitor:
+    """Watches the extrinsic of one rig, frame by frame.
+
+    Args:
+        weights: name or file of shipped weights, or a checkpoint of ``uncal.train`` (.ckpt).
+        references: what the windowed estimator was calibrated on: a file that ``calibrate=`` wrote,
+            or References; None: the file beside the weights (``NAME.monitor.npz``), and where there
+            is none the weights' own calibration, which is of single frames.
+        settings: None: those of conf/monitor.yaml.
+        device: where the network runs; ``auto``: a GPU if there is one.
+
+    Attributes:
+        settings: as they are used; ``window`` is 1 without references.
+        notes: sentences that a user must know.
+
+    Raises:
+        ConfigurationError: weights or references cannot be used.
+    """
+
+    def __init__(
+        self,
+        weights: str | Path,
+        *,
+        references: str | Path | References | None = None,
+        settings: MonitorSettings | None = None,
+        device: str = "auto",
+    ) -> None:
+        settings = MonitorSettings.shipped() if settings is None else settings
+        path = find_weights(str(weights))
+        where = "cuda" if device == "auto" and torch.cuda.is_available() else device
+        self.reader = EvidenceReader(
+            path, torch.device("cpu" if where == "auto" else where), settings.seed
+        )
+        self.notes: list[str] = []
+        self.references = self._find(references, path, settings)
+        if self.references is None:
+            settings = replace(settings, window=1)
+            calibrators: list[IntervalCalibrator] = [self._own_calibrator(path)]
+        else:
+            self.references.check_level(settings.level, settings.exchangeable)
+            calibrators = list(self.references.calibrators(settings.exchangeable))
+        self.settings = settings
+        self.quantiles: Quantiles = make_quantiles(settings.adapt, calibrators, settings.level)
+        self.window = Window(settings.window, settings.forgetting)
+        self.check = SensorCheck(settings.sensors)
+        self.martingale = (
+            None
+            if self.references is None
+            else ExchangeabilityMartingale(
+                self.references.windows, settings.alarm.period, settings.seed
+            )
+        )
+        self.alarm: str | None = None
+        self.calm = 0
+        self.fed = 0
+        self.rig: str | None = None
+        self.drive: str | None = None
+        self.in_use: ExtrinsicInUse | None = None
+
+    @property
+    def extrinsic(self) -> Vector:
+        """(4, 4) T_cam_lidar in use.
+
+        Raises:
+            ConfigurationError: before the first frame.
+        """
+        return self._extrinsic.current.copy()
+
+    @property
+    def history(self) -> list[Change]:
+        """Changes of the extrinsic in use, oldest first."""
+        return [] if self.in_use is None else list(self.in_use.history)
+
+    def update(self, frame: Frame, reference: Vector | None = None) -> Verdict:
+        """Take in the next frame of the stream.
+
+        Args:
+            frame: its ``T_cam_lidar`` is the nominal extrinsic, which the monitor begins with at
+                the first frame of a rig; later it goes by the extrinsic in use.
+            reference: (4, 4) true extrinsic, where one arrives; adjusts the intervals (``adapt``).
+
+        Returns:
+            What is to be said of it; an unusable frame is ``untrusted`` and adds no evidence.
+        """
+        self._meet(frame.id, frame.T_cam_lidar)
+        doubts = []
+        evidence: Evidence | None = None
+        fault = self.check.fault(frame)
+        if fault is None:
+            try:
+                evidence = self.reader.evidence(
+                    frame, self._extrinsic.current, self.settings.sensors
+                )
+            except FrameError as error:
+                fault = str(error)
+        if fault is not None:
+            doubts.append(fault)
+        elif self.references is not None and evidence is not None:
+            unlike = self.references.unlike(evidence.statistics, self.settings.sensors.margin)
+            doubts += [] if unlike is None else [unlike]
+        self.window.add(evidence, trusted=not doubts)
+        return self._say(str(frame.id), frame.time, doubts, reference)
+
+    def missing(self, frame_id: FrameId, reason: str, time: float = float("nan")) -> Verdict:
+        """Take in that a frame of the stream could not be read.
+
+        Args:
+            frame_id: which.
+            reason: for people.
+            time: of the frame, seconds.
+
+        Returns:
+            ``untrusted``; before the first readable frame with an extrinsic of NaN.
+        """
+        if (frame_id.rig, frame_id.drive) != (self.rig, self.drive):
+            self.window.clear()
+        self.window.add(None)
+        return self._say(str(frame_id), time, [reason], None)
+
+    def revert(self, changes: int = 1) -> Vector:
+        """Take back the last changes of the extrinsic in use, and forget the window.
+
+        Args:
+            changes: how many.
+
+        Returns:
+            (4, 4) T_cam_lidar in use from now on.
+
+        Raises:
+            ConfigurationError: there are not so many.
+        """
+        self._extrinsic.revert("revert", changes)
+        self.window.clear()
+        return self.extrinsic
+
+    @property
+    def _extrinsic(self) -> ExtrinsicInUse:
+        if self.in_use is None:
+            raise ConfigurationError("the monitor has not seen a frame yet: call update first")
+        return self.in_use
+
+    def _meet(self, frame_id: FrameId, nominal: Vector) -> None:
+        """Begin anew with another rig, and with an empty window in another drive."""
+        if frame_id.rig != self.rig:
+            self.in_use = ExtrinsicInUse(nominal, self.settings.update)
+        if (frame_id.rig, frame_id.drive) != (self.rig, self.drive):
+            self.window.clear()
+            self._extrinsic.agreed = 0
+        self.rig, self.drive = frame_id.rig, frame_id.drive
+
+    def _find(
+        self, given: str | Path | References | None, weights: Path, settings: MonitorSettings
+    ) -> References | None:
+        if isinstance(given, References):
+            return given
+        made_with = fingerprint(self.reader, settings)
+        if given is not None:
+            return References.load(Path(given), made_with)
+        beside = references_beside(weights)
+        if beside.is_file():
+            return References.load(beside, made_with)
+        self.notes.append(
+            f"No references ({beside} is not there): window=1, intervals of single frames as the "
+            "weights were calibrated, and nothing says when inputs are unlike those. "
+            "python -m uncal.monitor calibrate=FOLDER makes references from recordings with "
+            "trusted extrinsics."
+        )
+        return None
+
+    def _own_calibrator(self, weights: Path) -> IntervalCalibrator:
+        """Of single frames, as it comes with the weights."""
+        calibrator = self.reader.module.calibrator
+        if not calibrator.is_fitted or not calibrator.needs_std or calibrator.needs_bounds:
+            raise ConfigurationError(
+                f"{weights}: has no calibration of σ that the monitor could use; make references: "
+                "python -m uncal.monitor calibrate=FOLDER"
+            )
+        calibrator.check_matches(self.reader.module.engine.identity())
+        return calibrator
+
+    def _say(
+        self, name: str, time: float, doubts: list[str], reference: Vector | None
+    ) -> Verdict:
+        interval = Interval.unknown()
+        n = len(self.window)
+        if n > 0:
+            estimate = self.reader.solve(self.window.total())
+            interval = Interval.around(estimate.mean, estimate.std, self.quantiles.of(n))
+            self._watch(estimate)
+            if reference is not None:
+                self._learn(estimate, n, reference)
+        if self.alarm is not None:
+            doubts = [*doubts, self.alarm]
+        verdict, reason = decide(
+            interval, self.settings.limits, self.settings.level, doubts, n, self.settings.window
+        )
+        full = n == self.settings.window
+        trusted = verdict != UNTRUSTED and self.window.trusted and full
+        step = None
+        if self.in_use is not None:
+            step = self.in_use.consider(name, interval, trusted)
+        if step is not None:
+            self.window.rebase(self.reader, step)
+        return Verdict(
+            frame=name,
+            time=time,
+            correction=interval.correction,
+            lower=interval.lower,
+            upper=interval.upper,
+            joint_lower=interval.joint_lower,
+            joint_upper=interval.joint_upper,
+            verdict=verdict,
+            reason=reason,
+            extrinsic=np.full((4, 4), np.nan) if self.in_use is None else self.extrinsic,
+            updated=step is not None,
+            frames=n,
+            wealth=1.0 if self.martingale is None else self.martingale.wealth,
+        )
+
+    def _watch(self, estimate: Estimate) -> None:
+        """Feed the martingale with one value per full window, none of whose frames it knows."""
+        if self.martingale is None or len(self.window) < self.settings.window:
+            return
+        if self.window.entries[0].number <= self.fed:
+            return
+        self.fed = self.window.number
+        values = self.window.statistics(estimate, self.reader)
+        wealth = self.martingale.feed(values)
+        alarm = self.settings.alarm
+        if self.alarm is None and wealth >= 1.0 / alarm.false_alarm_rate:
+            self.alarm = (
+                f"windows no longer look like the references, {WINDOWED[self.martingale.oddest]} "
+                f"above all (false alarms: {100 * alarm.false_alarm_rate:g} % in {alarm.period} "
+                "windows)"
+            )
+            self.calm = 0
+            self.martingale.restart()
+        elif self.alarm is not None:
+            # Ville's bound is for how an alarm begins; it ends by a plain rule.
+            self.calm = self.calm + 1 if self.martingale.within(values) else 0
+            if self.calm >= alarm.recovery:
+                self.alarm = None
+                self.martingale.restart()
+
+    def _learn(self, estimate: Estimate, frames: int, reference: Vector) -> None:
+        D = np.linalg.inv(reference) @ self._extrinsic.current
+        truth = matrix_to_pose(torch.from_numpy(D)).numpy()
+        self.quantiles.observe(frames, scores_of(estimate.mean, estimate.std, truth, FLOOR))

@@ -1,0 +1,326 @@
+"""What the monitor is calibrated on: windows of drives whose extrinsic is trusted.
+
+Every stretch of ``window`` consecutive frames is decalibrated at random, and the windowed estimator
+itself is run on it, exactly as on a stream: after its 1st, 2nd … last frame stand the error, σ, and
+what the frames look like. Intervals come from those errors, never from σ/√n.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import zipfile
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from uncal.errors import ConfigurationError, FrameError, RecordingError
+from uncal.geometry import DOF_NAMES, pose_to_matrix
+from uncal.monitor.evidence import Estimate, EvidenceReader
+from uncal.monitor.settings import MonitorSettings
+from uncal.monitor.statistics import STATISTICS, SensorCheck
+from uncal.monitor.window import Window
+from uncal.progress import watched
+from uncal.recordings.frame import Frame, FrameId, Recording
+from uncal.reporting.layout import replaced_whole
+from uncal.uncertainty.conformal import ConformalCalibrator
+from uncal.uncertainty.hierarchical import HierarchicalCalibrator
+from uncal.uncertainty.quantile import samples_needed
+
+log = logging.getLogger(__name__)
+
+Vector = NDArray[np.float64]
+
+FLOOR = 1e-6
+"""Smallest σ to divide by, metres and radians."""
+
+
+@dataclass(frozen=True)
+class References:
+    """Windows of drives whose extrinsic is trusted.
+
+    Attributes:
+        made_with: fingerprint of the estimator: weights, passes, window and so on.
+        label: which recordings.
+        drives: (m,) drive of each window.
+        error: (m, W, 6) estimate - truth after 1 … W frames, metres and radians.
+        std: (m, W, 6) σ.
+        frames: (m, W, K) :data:`uncal.monitor.statistics.STATISTICS` of the frames.
+        windows: (m, K') :data:`uncal.monitor.statistics.WINDOWED` of the full windows.
+    """
+
+    made_with: dict[str, object]
+    label: str
+    drives: list[str]
+    error: Vector
+    std: Vector
+    frames: Vector
+    windows: Vector
+
+    def calibrators(self, exchangeable: str) -> list[ConformalCalibrator]:
+        """Those of 1 … W frames.
+
+        Args:
+            exchangeable: ``drive``: intervals hold for a new drive; ``window``: for other windows
+                of drives like these, which takes fewer drives and promises less.
+        """
+        made: list[ConformalCalibrator] = []
+        for n in range(self.error.shape[1]):
+            kind = HierarchicalCalibrator if exchangeable == "drive" else ConformalCalibrator
+            mean, std = torch.from_numpy(self.error[:, n]), torch.from_numpy(self.std[:, n])
+            target = torch.zeros_like(mean)
+            calibrator = kind(DOF_NAMES, FLOOR)
+            made.append(calibrator.fit(mean, std, target, groups=self.drives))
+        return made
+
+    def check_level(self, level: float, exchangeable: str) -> None:
+        """Refuse a level that so few drives or windows say nothing about.
+
+        Args:
+            level: of the intervals.
+            exchangeable: as in :meth:`calibrators`.
+
+        Raises:
+            ConfigurationError: names how many are needed.
+        """
+        n = len(set(self.drives)) if exchangeable == "drive" else len(self.drives)
+        needed = samples_needed(1 - level)
+        if n < needed:
+            hint = (
+                ", or set exchangeable=window, which promises coverage on drives like these only"
+                if exchangeable == "drive" and len(self.drives) >= needed
+                else ""
+            )
+            raise ConfigurationError(
+                f"level={level:g}: the references hold {n} {exchangeable}(s), and intervals of "
+                f"that level need {needed}: calibrate with more{hint}"
+            )
+
+    @cached_property
+    def _ranges(self) -> tuple[Vector, Vector]:
+        seen = self.frames.reshape(-1, self.frames.shape[-1])
+        return seen.min(0), seen.max(0)
+
+    def unlike(self, statistics: Vector, margin: float) -> str | None:
+        """What of a frame lies far outside all that the references show; None if nothing does.
+
+        Args:
+            statistics: (K,) of the frame.
+            margin: how far outside is far, in widths of the references' range.
+        """
+        low, high = self._ranges
+        slack = margin * (high - low) + 1e-9
+        for name, value, a, b, far in zip(STATISTICS, statistics, low, high, slack, strict=True):
+            if not a - far <= value <= b + far:
+                return f"{name} is {value:.2f}, far from the references' {a:.2f} to {b:.2f}"
+        return None
+
+    def save(self, path: Path) -> Path:
+        """Write them as one file without pickles.
+
+        Args:
+            path: ending in .npz.
+        """
+        path.parent.mkdir(parents=True, exist_ok=True)
+        about = json.dumps({"made_with": self.made_with, "label": self.label})
+        with replaced_whole(path) as partial, partial.open("wb") as file:
+            np.savez_compressed(
+                file,
+                about=np.array(about),
+                drives=np.array(self.drives),
+                error=self.error,
+                std=self.std,
+                frames=self.frames,
+                windows=self.windows,
+            )
+        return path
+
+    @classmethod
+    def load(cls, path: Path, made_with: dict[str, object]) -> References:
+        """Read them.
+
+        Args:
+            path: of :meth:`save`.
+            made_with: fingerprint of the estimator that they are for.
+
+        Raises:
+            ConfigurationError: no such file, a damaged one, or one of another estimator.
+        """
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                about = json.loads(str(file["about"]))
+                found = cls(
+                    about["made_with"],
+                    about["label"],
+                    [str(name) for name in file["drives"]],
+                    *(file[name] for name in ("error", "std", "frames", "windows")),
+                )
+        except FileNotFoundError as error:
+            raise ConfigurationError(
+                f"references={path}: no such file; make it from recordings with trusted extrinsics: "
+                f"python -m uncal.monitor calibrate=FOLDER references={path}"
+            ) from error
+        except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+            raise ConfigurationError(
+                f"references={path}: not references that uncal.monitor wrote ({error}); make them "
+                "anew with calibrate=FOLDER"
+            ) from error
+        other = [
+            f"{key}: {found.made_with.get(key)}, here {value}"
+            for key, value in made_with.items()
+            if found.made_with.get(key) != value
+        ]
+        if other:
+            raise ConfigurationError(
+                f"references={path}: made with another estimator ({'; '.join(other)}); give the "
+                "same settings, or make them anew with calibrate=FOLDER"
+            )
+        return found
+
+
+def references_beside(weights: Path) -> Path:
+    """Where the references of weights are looked for.
+
+    Args:
+        weights: their file.
+
+    >>> references_beside(Path("weights/unical.safetensors")).as_posix()
+    'weights/unical.monitor.npz'
+    """
+    return weights.with_suffix(".monitor.npz")
+
+
+def fingerprint(reader: EvidenceReader, settings: MonitorSettings) -> dict[str, object]:
+    """What references belong to.
+
+    Args:
+        reader: the weights.
+        settings: of the monitor.
+    """
+    identity = reader.module.engine.identity()
+    return {
+        "weights": identity.weights[:16],
+        "passes": identity.passes,
+        "rates": [float(rate) for rate in identity.rates],
+        "masks": identity.masks[:16],
+        "spread": reader.module.spread,
+        "edges": reader.inputs.edges,
+        "range": [float(f"{bound:.6g}") for bound in reader.bounds],
+        "window": settings.window,
+        "forgetting": settings.forgetting,
+    }
+
+
+def make_references(
+    recording: Recording, reader: EvidenceReader, settings: MonitorSettings, label: str
+) -> References:
+    """Run the windowed estimator over recordings whose extrinsic is trusted.
+
+    Args:
+        recording: of them.
+        reader: the weights.
+        settings: of the monitor.
+        label: which recordings, for people.
+
+    Returns:
+        The references; what is left of a drive after its last full window is not used.
+
+    Raises:
+        RecordingError: no drive has a full window of usable frames.
+    """
+    check = SensorCheck(settings.sensors)
+    stretches: list[_Stretch] = []
+    skipped = 0
+    for frame_id in watched(recording.frame_ids, "references"):
+        last = stretches[-1] if stretches else None
+        if last is None or last.full or last.drive != f"{frame_id.rig}/{frame_id.drive}":
+            stretches = [s for s in stretches if s.full]
+            stretches.append(last := _Stretch(frame_id, reader, settings))
+        try:
+            frame = recording.load(frame_id)
+            fault = check.fault(frame)
+            if fault is not None:
+                raise FrameError(fault)
+            last.take(frame)
+        except FrameError as error:
+            log.warning("skipped %s: %s", frame_id, error)
+            skipped += 1
+    full = [stretch for stretch in stretches if stretch.full]
+    if not full:
+        raise RecordingError(
+            f"calibrate: no drive has window={settings.window} usable frames "
+            f"({len(recording.frame_ids)} frames, {skipped} of them skipped)"
+        )
+    return References(
+        made_with=fingerprint(reader, settings),
+        label=label,
+        drives=[stretch.drive for stretch in full],
+        error=np.stack([stretch.error for stretch in full]),
+        std=np.stack([stretch.std for stretch in full]),
+        frames=np.stack([stretch.frames for stretch in full]),
+        windows=np.stack([stretch.window_statistics for stretch in full]),
+    )
+
+
+class _Stretch:
+    """Consecutive frames of a drive under one decalibration, until a window is full.
+
+    Args:
+        first: its first frame.
+        reader: the weights.
+        settings: of the monitor.
+    """
+
+    def __init__(self, first: FrameId, reader: EvidenceReader, settings: MonitorSettings) -> None:
+        self.drive = f"{first.rig}/{first.drive}"
+        self.decalibration = reader.range.draw_for(settings.seed, str(first))
+        self.reader = reader
+        self.settings = settings
+        self.window = Window(settings.window, settings.forgetting)
+        self.estimates: list[Estimate] = []
+        self.seen: list[Vector] = []
+        self.window_statistics = np.empty(0)
+
+    @property
+    def full(self) -> bool:
+        """Whether it has all its frames."""
+        return len(self.estimates) == self.settings.window
+
+    @property
+    def error(self) -> Vector:
+        """(W, 6)."""
+        truth = self.decalibration.double().numpy()
+        return np.stack([estimate.mean - truth for estimate in self.estimates])
+
+    @property
+    def std(self) -> Vector:
+        """(W, 6)."""
+        return np.stack([estimate.std for estimate in self.estimates])
+
+    @property
+    def frames(self) -> Vector:
+        """(W, K)."""
+        return np.stack(self.seen)
+
+    def take(self, frame: Frame) -> None:
+        """Add a frame's evidence.
+
+        Args:
+            frame: the next usable one.
+
+        Raises:
+            FrameError: it is not usable.
+        """
+        D = pose_to_matrix(self.decalibration.double()).numpy()
+        evidence = self.reader.evidence(frame, frame.T_cam_lidar @ D, self.settings.sensors)
+        self.window.add(evidence)
+        estimate = self.reader.solve(self.window.total())
+        self.estimates.append(estimate)
+        self.seen.append(evidence.statistics)
+        if self.full:
+            self.window_statistics = self.window.statistics(estimate, self.reader)
+            self.window.clear()
