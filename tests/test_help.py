@@ -13,7 +13,7 @@ import yaml  # type: ignore[import-untyped]
 from uncal.configuration import CONFIG_DIR
 from uncal.settings.help_page import show_help
 
-ENTRY_POINTS = ("train", "evaluate", "simulate", "benchmark", "report", "ship")
+ENTRY_POINTS = ("train", "evaluate", "simulate", "benchmark", "report", "ship", "monitor")
 HEAVY = (
     *("torch", "lightning", "transformers", "matplotlib", "scipy", "cv2", "pandas", "numpy"),
     *("joblib", "submitit", "rosbags", "h5py", "uncal.assembly", "uncal.settings.check"),
@@ -58,7 +58,14 @@ def test_the_page_lists_every_group_and_its_options(capsys: pytest.CaptureFixtur
 
 
 @pytest.mark.parametrize(
-    "name", ["hydra/default.yaml", "hydra/evaluate.yaml", "benchmark.yaml", "simulate.yaml"]
+    "name",
+    [
+        "hydra/default.yaml",
+        "hydra/evaluate.yaml",
+        "benchmark.yaml",
+        "simulate.yaml",
+        "monitor.yaml",
+    ],
 )
 def test_the_page_is_a_page(name: str) -> None:
     content = yaml.safe_load((Path(CONFIG_DIR) / name).read_text(encoding="utf-8"))

@@ -117,7 +117,7 @@ def read_settings(kind: type[_Settings], name: str, section: DictConfig) -> _Set
         ConfigurationError: a key that the class does not know, added by force.
     """
     known = [field.name for field in fields(kind)]
-    if unknown := [f"{name}.{key}" for key in section if key not in known]:
+    if unknown := [f"{name}.{key!s}" for key in section if key not in known]:
         raise ConfigurationError(
             f"{', '.join(unknown)}: nothing reads this; {name} has {', '.join(known)}"
         )

@@ -4,8 +4,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from uncal.data.dataset import FrameDataset
+from uncal.data.dataset import FrameDataset, Sample
 from uncal.decalibration import DecalibrationRange
 from uncal.errors import FrameError
 from uncal.recordings.kitti import KittiRaw
@@ -14,9 +15,9 @@ from uncal.recordings.motion import REVOLUTION_S, read_oxts, untwisted
 DRIVE = "2011_09_26_drive_0001_sync"
 
 
-def measured(world: np.ndarray, twist: np.ndarray) -> np.ndarray:
+def measured(world: NDArray[np.float64], twist: NDArray[np.float64]) -> NDArray[np.float64]:
     """Where a moving LiDAR reports points that stand still, found by iteration."""
-    seen = world.copy()
+    seen = np.array(world, np.float64)
     for _ in range(50):
         delay = -np.arctan2(seen[:, 1], seen[:, 0]) / (2 * np.pi) * REVOLUTION_S
         for i, t in enumerate(delay):
@@ -94,13 +95,15 @@ def test_points_and_edges_of_a_sample_are_untwisted(kitti_raw_root: Path) -> Non
         recording = KittiRaw(kitti_raw_root, untwist=untwist)
         dataset = FrameDataset(
             recording,
-            [[recording.frame_ids[0]]],
+            [(recording.frame_ids[0],)],
             (64, 128),
             DecalibrationRange(1.0, 10.0),
             0,
             False,
         )
-        samples.append(dataset[0][0])
+        sample = dataset[0][0]
+        assert isinstance(sample, Sample)
+        samples.append(sample)
     moved, plain = samples
     n = min(len(moved.points), len(plain.points))
     assert n > 0

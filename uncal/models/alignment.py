@@ -138,7 +138,9 @@ class LastRound(nn.Module):
         mean, precision = gaussian_factors(curves, offsets, variance, STRIDES[level])
         return mean, precision * weights * self.log_share[level].exp()
 
-    def residual(self, x: Tensor, edges: Tensor, K: Tensor, T: Tensor, covariance: Tensor) -> Tensor:
+    def residual(
+        self, x: Tensor, edges: Tensor, K: Tensor, T: Tensor, covariance: Tensor
+    ) -> Tensor:
         """How far from their places in the image the solved pose leaves the edges.
 
         Args:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple, cast
@@ -83,6 +84,9 @@ class EvidenceReader:
         device: where the network runs.
         seed: of the dropout masks.
 
+    Attributes:
+        seconds: spent so far in :meth:`prepare` and :meth:`read`.
+
     Raises:
         ConfigurationError: no such weights.
     """
@@ -98,6 +102,7 @@ class EvidenceReader:
         self.inputs: InputSettings = instantiate(self.recipe.model.inputs)
         self.focal_px = focal_of(self.recipe)
         self.bounds: NDArray[np.float64] = self.range.bounds.double().numpy()
+        self.seconds = {"prepare": 0.0, "read": 0.0}
         self._datasets: dict[tuple[int, int, float], FrameDataset] = {}
 
     def evidence(
@@ -114,13 +119,18 @@ class EvidenceReader:
             FrameError: there is no image, it cannot be brought to the network's size, or next to
                 no edge lies in it.
         """
+        begin = time.perf_counter()
         sample = self.prepare(frame, T_assumed)
+        prepared = time.perf_counter()
+        self.seconds["prepare"] += prepared - begin
         if self._reads_edges and len(sample.edges) < limits.min_edges:
             raise FrameError(
                 f"{len(sample.edges)} edges of the sweep in the image, fewer than "
                 f"{limits.min_edges}"
             )
-        return self.read(sample)
+        evidence = self.read(sample)
+        self.seconds["read"] += time.perf_counter() - prepared
+        return evidence
 
     def prepare(self, frame: Frame, T_assumed: NDArray[np.float64]) -> Sample:
         """A frame at the network's size, culled, with its edges: work for the CPU.
@@ -209,7 +219,7 @@ class EvidenceReader:
             return pack(normal, whole), float(residual)
         if isinstance(estimator, EdgeAlignmentEstimator):
             assert question.state is not None
-            pose, covariance = question.state
+            pose, covariance, _ = question.state
             return _without_prior(pose.float(), covariance.float()), 0.0
         poses = estimator.answer(samples, inputs, question).samples[:, 0, :6]
         return averaged(poses / self.range.bounds.to(poses)), 0.0

@@ -208,9 +208,7 @@ class Monitor:
         calibrator.check_matches(self.reader.module.engine.identity())
         return calibrator
 
-    def _say(
-        self, name: str, time: float, doubts: list[str], reference: Vector | None
-    ) -> Verdict:
+    def _say(self, name: str, time: float, doubts: list[str], reference: Vector | None) -> Verdict:
         interval = Interval.unknown()
         n = len(self.window)
         if n > 0:

@@ -161,7 +161,8 @@ class References:
                 )
         except FileNotFoundError as error:
             raise ConfigurationError(
-                f"references={path}: no such file; make it from recordings with trusted extrinsics: "
+                f"references={path}: no such file; make it from recordings with trusted "
+                "extrinsics: "
                 f"python -m uncal.monitor calibrate=FOLDER references={path}"
             ) from error
         except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:

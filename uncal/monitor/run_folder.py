@@ -125,8 +125,9 @@ class RunFolder:
         other = [key for key in {*known, *self.about} if known.get(key) != self.about.get(key)]
         if other:
             raise ConfigurationError(
-                f"{self.folder}: holds the run of a monitor with another {', '.join(sorted(other))};"
-                " go on with the same, or give another folder (hydra.run.dir=…)"
+                f"{self.folder}: holds the run of a monitor with another "
+                f"{', '.join(sorted(other))}; go on with the same, or give another folder "
+                "(hydra.run.dir=…)"
             )
 
     def _read_back(self) -> None:

@@ -203,7 +203,8 @@ class MonitorSettings:
         names = {field.name for field in fields(cls)}
         if unknown := [name for name in changes if name not in names]:
             raise ConfigurationError(
-                f"{', '.join(unknown)}: no setting of the monitor; it has {', '.join(sorted(names))}"
+                f"{', '.join(unknown)}: no setting of the monitor; it has "
+                f"{', '.join(sorted(names))}"
             )
         own = {name: shipped[name] for name in names}
         merged = OmegaConf.merge(OmegaConf.create(own), OmegaConf.create(dict(changes)))

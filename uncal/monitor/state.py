@@ -70,9 +70,7 @@ def restore(monitor: Monitor, state: State) -> None:
     monitor.window.entries.extend(
         Entry(
             entry["number"],
-            Evidence(
-                entry["equations"].to(monitor.reader.device), entry["statistics"].numpy()
-            ),
+            Evidence(entry["equations"].to(monitor.reader.device), entry["statistics"].numpy()),
             entry["trusted"],
         )
         for entry in state["entries"]

@@ -100,9 +100,7 @@ class SensorCheck:
             problems.append("no camera: neither an image nor events")
         lidar = _digest(frame.points[::4])
         if len(frame.points) < limits.min_points:
-            problems.append(
-                f"{len(frame.points)} LiDAR points, fewer than {limits.min_points}"
-            )
+            problems.append(f"{len(frame.points)} LiDAR points, fewer than {limits.min_points}")
         elif lidar == self.last[1]:
             problems.append("the LiDAR is frozen: the same sweep as before")
         if camera and camera == self.last[0]:

@@ -88,9 +88,7 @@ class Window:
         self.entries = deque(
             Entry(
                 entry.number,
-                entry.evidence._replace(
-                    equations=reader.rebase(entry.evidence.equations, step)
-                ),
+                entry.evidence._replace(equations=reader.rebase(entry.evidence.equations, step)),
                 entry.trusted,
             )
             for entry in self.entries

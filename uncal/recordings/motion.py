@@ -72,6 +72,6 @@ def untwisted(rows: NDArray[np.float32], twist: NDArray[np.float64]) -> NDArray[
     delay = -np.arctan2(position[:, 1], position[:, 0]) / (2 * np.pi) * REVOLUTION_S
     # To first order: a turn of 1° within a sweep leaves less than a millimetre at 10 m.
     moved = twist[:3] + np.cross(twist[3:], position)
-    result = rows.copy()
+    result = np.array(rows, np.float32)
     result[:, :3] = position + delay[:, None] * moved
     return result

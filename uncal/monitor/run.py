@@ -1,0 +1,185 @@
+"""The two tasks of ``python -m uncal.monitor``: watching a stream, and making references."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import cast
+
+import torch
+from omegaconf import DictConfig, OmegaConf
+
+from uncal.errors import ConfigurationError, UncalError
+from uncal.monitor.evidence import EvidenceReader
+from uncal.monitor.monitor import Monitor
+from uncal.monitor.references import make_references, references_beside
+from uncal.monitor.run_folder import LINES, TABLE, RunFolder
+from uncal.monitor.settings import MonitorSettings
+from uncal.monitor.sources import SourceSettings, Unreadable, open_recording, stream
+from uncal.monitor.verdict import VERDICTS
+from uncal.monitor.view import View
+from uncal.weights.shipped import find_weights, shipped_names
+
+log = logging.getLogger(__name__)
+
+PARTS = ("read the frame", "find edges", "network", "decide", "write")
+"""Where the time of a frame goes."""
+
+
+def chosen(config: DictConfig) -> str:
+    """What the user asks for.
+
+    Args:
+        config: conf/monitor.yaml with overrides.
+
+    Returns:
+        ``calibrate`` or ``watch``.
+
+    Raises:
+        ConfigurationError: no weights, or not one of the two.
+    """
+    if (config.weights is None) == (config.ckpt is None):
+        raise ConfigurationError(
+            f"weights={config.weights}, ckpt={config.ckpt}: give one of them; shipped weights are "
+            f"{', '.join(shipped_names()) or 'none'}"
+        )
+    if (config.source is None) == (config.calibrate is None):
+        raise ConfigurationError(
+            f"source={config.source}, calibrate={config.calibrate}: give one of them: a folder to "
+            "watch, or one with trusted extrinsics to make references from"
+        )
+    return "watch" if config.calibrate is None else "calibrate"
+
+
+def calibrate(config: DictConfig, folder: Path) -> str:
+    """Make references from recordings with trusted extrinsics.
+
+    Args:
+        config: conf/monitor.yaml with overrides.
+        folder: of the run; not used, since references belong beside their weights.
+
+    Returns:
+        A summary.
+
+    Raises:
+        UncalError: the recordings hold no full window, or the file cannot be written.
+    """
+    weights = find_weights(str(config.weights or config.ckpt))
+    settings = _settings(config)
+    recording = open_recording(_source(config, config.calibrate))
+    reader = EvidenceReader(weights, _device(), settings.seed)
+    references = make_references(recording, reader, settings, str(config.calibrate))
+    path = Path(config.references) if config.references else references_beside(weights)
+    try:
+        references.save(path)
+    except OSError as error:
+        raise UncalError(
+            f"{path}: cannot be written ({error.strerror}); name another file with references=…"
+        ) from error
+    drives = len(set(references.drives))
+    lines = [
+        f"{len(references.drives)} windows of {settings.window} frames, {drives} drives, from "
+        f"{config.calibrate}: {path}"
+    ]
+    try:
+        references.check_level(settings.level, settings.exchangeable)
+    except ConfigurationError as error:
+        lines.append(f"Too few for the settings given: {error}")
+    return "\n".join(lines)
+
+
+def watch(config: DictConfig, folder: Path) -> str:
+    """Run over a stream; what a folder holds of an earlier run is gone on from.
+
+    Args:
+        config: conf/monitor.yaml with overrides.
+        folder: of the run.
+
+    Returns:
+        A summary.
+    """
+    weights = str(config.weights or config.ckpt)
+    source = _source(config, config.source)
+    open_recording(source) if not source.follow else None
+    monitor = Monitor(weights, references=config.references, settings=_settings(config))
+    for note in monitor.notes:
+        log.warning("%s", note)
+    about = {
+        "weights": monitor.reader.module.engine.identity().weights,
+        "source": str(source.root.resolve()),
+        "settings": OmegaConf.to_container(OmegaConf.masked_copy(config, _kept(config))),
+    }
+    seconds = dict.fromkeys(PARTS, 0.0)
+    counts, frames, changes, last = {}, 0, 0, ""
+    with RunFolder(folder, monitor, about) as run, View(monitor, source.root) as view:
+        if run.resumed:
+            log.info("going on after %d frames in %s", run.resumed, folder)
+        begin = now = time.perf_counter()
+        try:
+            for item in stream(source, run.reported, time.monotonic):
+                now = _spent(seconds, "read the frame", now)
+                before = dict(monitor.reader.seconds)
+                if isinstance(item, Unreadable):
+                    verdict = monitor.missing(item.id, item.reason)
+                else:
+                    verdict = monitor.update(item)
+                inside = {key: monitor.reader.seconds[key] - before[key] for key in before}
+                now = _spent(seconds, "decide", now)
+                seconds["find edges"] += inside["prepare"]
+                seconds["network"] += inside["read"]
+                seconds["decide"] -= sum(inside.values())
+                run.keep(verdict)
+                now = _spent(seconds, "write", now)
+                frames += 1
+                changes += verdict.updated
+                view.show(verdict, frames / (time.perf_counter() - begin))
+                last = view.estimate(verdict)
+        except KeyboardInterrupt:
+            log.warning("interrupted; the same command with hydra.run.dir=%s goes on", folder)
+        counts = dict(run.counts)
+        seen = run.resumed + frames
+    if not seen:
+        return f"No frame in {source.root}."
+    told = ", ".join(f"{counts[name]} {name}" for name in VERDICTS if counts.get(name))
+    lines = [f"{seen} frames: {told}", last]
+    if changes:
+        lines.append(f"The extrinsic in use was changed {changes} time(s).")
+    total = sum(seconds.values())
+    if frames and total > 0:
+        shares = ", ".join(f"{name} {100 * seconds[name] / total:.0f} %" for name in PARTS)
+        lines.append(f"{frames / total:.1f} frames a second: {shares}")
+    lines.append(f"{folder / LINES} and {TABLE}")
+    return "\n".join(filter(None, lines))
+
+
+def _spent(seconds: dict[str, float], part: str, since: float) -> float:
+    now = time.perf_counter()
+    seconds[part] += now - since
+    return now
+
+
+def _device() -> torch.device:
+    return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+
+
+def _settings(config: DictConfig) -> MonitorSettings:
+    whole = OmegaConf.to_container(config, resolve=True)
+    return MonitorSettings.of(cast("Mapping[str, object]", whole))
+
+
+def _kept(config: DictConfig) -> list[str]:
+    """Settings that must be the same for going on."""
+    return [str(key) for key in config if key in MonitorSettings.__dataclass_fields__]
+
+
+def _source(config: DictConfig, root: str) -> SourceSettings:
+    return SourceSettings(
+        root=Path(root).expanduser(),
+        drives=None if config.drives is None else list(config.drives),
+        camera=config.camera,
+        stride=config.stride,
+        follow=config.follow,
+        patience_s=config.patience_s,
+    )
