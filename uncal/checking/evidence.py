@@ -13,6 +13,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from uncal.checking.axes import to_lidar_axes
@@ -56,6 +57,8 @@ class View(NamedTuple):
         strength: (2, H, W) float32 edge strength across columns and across rows, less its mean.
         K: (3, 3) float32 camera matrix at this size, pixels.
         T: (4, 4) float32 extrinsic as declared.
+        link: (4, 4) float32 LiDAR → what the calibration file leads it to: the camera, or another
+            one from which it is known how to go on.
         up: (3,) float32 the sweep's axis of rotation, in the frame of the file.
     """
 
@@ -65,6 +68,7 @@ class View(NamedTuple):
     strength: Tensor
     K: Tensor
     T: Tensor
+    link: Tensor
     up: Tensor
 
     def fewer(self, share: int) -> View:
@@ -74,12 +78,12 @@ class View(NamedTuple):
         )
 
 
-def view_of(frame: Frame, blur: float = BLUR) -> View:
+def view_of(frame: Frame, link: NDArray[np.float64] | None = None) -> View:
     """Find the edges of a frame's sweep and of its image or events.
 
     Args:
         frame: of any reader; the axes of its points may be any, but metres.
-        blur: standard deviation of the blur by the width of the image.
+        link: see :class:`View`; None: the extrinsic itself.
     """
     camera, scale = _camera(frame)
     K = frame.K.copy()
@@ -88,7 +92,7 @@ def view_of(frame: Frame, blur: float = BLUR) -> View:
     K[0, 0], K[1, 1] = K[0, 0] * scale, K[1, 1] * scale
     width = camera.shape[-1]
     # Not by the declared focal length, which may be what is wrong.
-    sigma = torch.tensor([blur * width])
+    sigma = torch.tensor([BLUR * width])
     kind = "channels" if frame.image is None else "mean"
     strength = blurred(edge_maps(camera, _WINDOW_PX, kind), sigma)[0]
     strength = strength - strength.mean((1, 2), keepdim=True)
@@ -105,6 +109,7 @@ def view_of(frame: Frame, blur: float = BLUR) -> View:
         strength,
         torch.from_numpy(K).float(),
         torch.from_numpy(frame.T_cam_lidar).float(),
+        torch.from_numpy(frame.T_cam_lidar if link is None else link).float(),
         torch.from_numpy(axes[2].copy()),
     )
 

@@ -14,6 +14,7 @@ from uncal.errors import CalibrationMissing, NothingPaired, RecordingError, Rota
 from uncal.recordings.folder_recording import FolderRecording
 from uncal.recordings.frame import Recording
 from uncal.recordings.image_sizes import png_size
+from uncal.recordings.plain_folder import PlainFolder
 
 _PNG_END = b"IEND\xaeB`\x82"
 _JPEG_END = b"\xff\xd9"
@@ -66,7 +67,7 @@ def of_files(drive: str, recording: Recording) -> list[Finding]:
                 error=n > len(recording.frame_ids),
             )
         )
-    if not isinstance(recording, FolderRecording):
+    if not isinstance(recording, FolderRecording | PlainFolder):
         return found
     pairs = [recording.paths(frame) for frame in recording.frame_ids]
     images, scans = ([pair[side] for pair in pairs] for side in (0, 1))

@@ -52,20 +52,21 @@ def hypotheses(view: View) -> list[Hypothesis]:
     Args:
         view: any frame of the drive.
     """
-    T, K = view.T, view.K
+    T, K, link = view.T, view.K, view.link
+    rest = T @ torch.linalg.inv(link)
     width = view.strength.shape[2]
     found = [
         Hypothesis(
             "inverted",
-            "T_cam_lidar fits the data only when inverted",
-            "invert it: T_cam_lidar maps LiDAR → camera",
-            torch.linalg.inv(T),
+            "the extrinsic fits the data only when inverted",
+            "invert it: it must map LiDAR → camera (in DSEC's file, camera → LiDAR)",
+            rest @ torch.linalg.inv(link),
         ),
         Hypothesis(
             "camera frame",
             "the points project without any extrinsic: they are in the camera's frame",
             "use the points as the LiDAR gave them, or the identity as T_cam_lidar",
-            torch.eye(4),
+            rest,
         ),
         Hypothesis(
             "mirrored",
@@ -77,17 +78,17 @@ def hypotheses(view: View) -> list[Hypothesis]:
             + torch.tensor([[0, 0, width - 1 - 2 * K[0, 2]], [0, 0, 0], [0, 0, 0]]),
         ),
     ]
-    length = float(T[:3, 3].norm())
+    length = float(link[:3, 3].norm())
     for factor, unit in ((1e-3, "millimetres"), (1e-2, "centimetres")):
         if length * factor < _METRES and length > 1.0:
-            smaller = T.clone()
+            smaller = link.clone()
             smaller[:3, 3] *= factor
             found.append(
                 Hypothesis(
                     "millimetres",
                     f"a translation of {length:.4g} fits the data only as {unit}",
                     f"divide the translation by {1 / factor:.0f}: metres",
-                    smaller,
+                    rest @ smaller,
                 )
             )
     scales = {*_SCALES, round(float(width / (2 * K[0, 2].clamp(min=1.0))), 3)}
@@ -114,7 +115,7 @@ def hypotheses(view: View) -> list[Hypothesis]:
                 k1=k1,
             )
         )
-    return found + _axes(T) + _degrees(T)
+    return found + _axes(T) + _degrees(rest, link)
 
 
 def _axes(T: Tensor) -> list[Hypothesis]:
@@ -143,19 +144,19 @@ def _axes(T: Tensor) -> list[Hypothesis]:
     return found
 
 
-def _degrees(T: Tensor) -> list[Hypothesis]:
+def _degrees(rest: Tensor, link: Tensor) -> list[Hypothesis]:
     """Small angles that are radians read as degrees; the other way round needs a search."""
-    angles = matrix_to_euler(T[:3, :3])
+    angles = matrix_to_euler(link[:3, :3])
     if float(angles.abs().max().rad2deg()) > 3.2:
         return []
-    turned = T.clone()
+    turned = link.clone()
     turned[:3, :3] = euler_to_matrix(angles.rad2deg())
     return [
         Hypothesis(
             "degrees",
             "the rotation fits only when its angles are multiplied by 180/π",
             "give the angles in the unit that is declared",
-            turned,
+            rest @ turned,
         )
     ]
 
@@ -174,7 +175,7 @@ def degrees_read_as_radians(view: View, rough: View) -> list[Hypothesis]:
     Returns:
         At most :data:`_KEPT`.
     """
-    roll, pitch, yaw = matrix_to_euler(view.T[:3, :3]).double().tolist()
+    roll, pitch, yaw = matrix_to_euler(view.link[:3, :3]).double().tolist()
     turns = 2 * np.pi * np.arange(-_TURNS, _TURNS + 1)
     rotations = []
     for r, p, y in ((roll, pitch, yaw), (roll + np.pi, np.pi - pitch, yaw + np.pi)):
@@ -183,9 +184,11 @@ def degrees_read_as_radians(view: View, rough: View) -> list[Hypothesis]:
         rotations.append(euler_to_matrix(torch.from_numpy(np.radians(grid)).float()))
     R = torch.cat(rotations)
     up = view.up
-    R = R[-(R @ up)[:, 1] > _UPRIGHT]
-    T = view.T.repeat(len(R), 1, 1)
+    rest = view.T @ torch.linalg.inv(view.link)
+    R = R[-(rest[:3, :3] @ R @ up)[:, 1] > _UPRIGHT]
+    T = view.link.repeat(len(R), 1, 1)
     T[:, :3, :3] = R
+    T = rest @ T
     values = torch.cat([agreement(rough, chunk) for chunk in T.split(2048)]) if len(T) else T[:0]
     best = torch.nan_to_num(values, nan=-9.0).argsort(descending=True)[:_KEPT]
     return [

@@ -1,0 +1,85 @@
+"""What `uncal.check` finds in good recordings that were broken, and in the good ones.
+
+    python benchmarks/check.py OUT kitti=FOLDER… dsec=FOLDER… [name=FOLDER…]
+
+Copies each folder, breaks the copy in one way (:mod:`uncal.checking.breaking`), checks it, and notes
+for each drive which kinds were named as errors: the right one (found), another one (falsely found).
+A folder is read as DSEC's where it holds ``data``, else as KITTI raw. Writes OUT.csv and OUT.md.
+"""
+
+from __future__ import annotations
+
+import shutil
+import sys
+import tempfile
+from pathlib import Path
+
+import pandas as pd
+
+from uncal.checking.breaking import Break, dsec_faults, kitti_faults
+from uncal.checking.check import check
+
+
+def main(out: Path, sources: dict[str, Path]) -> None:
+    """Break, check, count."""
+    rows = []
+    for name, source in sources.items():
+        faults: dict[str, tuple[str, Break]] = {"none": ("", lambda _: None)}
+        faults |= dsec_faults() if (source / "data").is_dir() else kitti_faults()
+        for fault, (kind, put_in) in faults.items():
+            with tempfile.TemporaryDirectory() as folder:
+                root = Path(folder) / "root"
+                shutil.copytree(source, root)
+                put_in(root)
+                checked = check(root, None, 8, None, quiet=True)
+            for report in checked.reports:
+                named = {finding.kind for finding in report.findings if finding.error}
+                rows.append(
+                    {
+                        "recordings": name,
+                        "drive": report.drive,
+                        "fault": fault,
+                        "kind": kind,
+                        "found": kind in named,
+                        "falsely": ", ".join(sorted(named - {kind})),
+                        "warned": any(not finding.error for finding in report.findings),
+                        "support": round(report.support, 1),
+                    }
+                )
+            sys.stdout.write(f"{name}, {fault}: " + "; ".join(
+                f"{r['found']} {r['falsely']} {r['support']}" for r in rows[-len(checked.reports):]
+            ) + "\n")  # fmt: skip
+            sys.stdout.flush()
+    table = pd.DataFrame(rows)
+    table.to_csv(out.with_suffix(".csv"), index=False)
+    out.with_suffix(".md").write_text(_page(table), encoding="utf-8")
+
+
+def _page(table: pd.DataFrame) -> str:
+    names = list(table.recordings.unique())
+    lines = [
+        "# Faults that `python -m uncal.check` finds",
+        "",
+        "Drives in which the fault was named / drives broken, and drives in which another fault was "
+        "named as an error. Each drive was broken in one way; 8 frames of each were compared.",
+        "",
+        "| fault | word | " + " | ".join(names) + " | falsely found |",
+        "|---|---|" + "---|" * (len(names) + 1),
+    ]
+    for fault in table.fault.unique():
+        part = table[table.fault == fault]
+        cells = []
+        for name in names:
+            here = part[part.recordings == name]
+            good = here.found.sum() if fault != "none" else (here.falsely == "").sum()
+            cells.append(f"{good}/{len(here)}" if len(here) else "-")
+        false = part[part.falsely != ""]
+        wrong = ", ".join(f"{n} × {kinds}" for kinds, n in false.falsely.value_counts().items())
+        word = part.kind.iloc[0] or "no error"
+        lines.append(f"| {fault} | `{word}` | " + " | ".join(cells) + f" | {wrong or '-'} |")
+    return "\n".join([*lines, ""])
+
+
+if __name__ == "__main__":
+    given = dict(argument.split("=", 1) for argument in sys.argv[2:])
+    main(Path(sys.argv[1]), {name: Path(folder) for name, folder in given.items()})
