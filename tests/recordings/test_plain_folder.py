@@ -43,7 +43,9 @@ def write(root: Path, content: dict[str, object], n: int = 3) -> Path:
             folder = root / "monday" / camera
             folder.mkdir(parents=True, exist_ok=True)
             image = rng.integers(0, 256, (*SIZE, 3), dtype=np.uint8)
-            cv2.imwrite(str(folder / f"{number:03d}.{'png' if camera == 'front' else 'jpg'}"), image)
+            cv2.imwrite(
+                str(folder / f"{number:03d}.{'png' if camera == 'front' else 'jpg'}"), image
+            )
         for lidar, scale in (("top", 1000.0), ("side", 1.0)):
             folder = root / "monday" / lidar
             folder.mkdir(parents=True, exist_ok=True)

@@ -111,7 +111,9 @@ def _K(root: Path, scale: float) -> None:
         path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def _points(root: Path, matrix: NDArray[np.float64], shift: NDArray[np.float64] | None = None) -> None:
+def _points(
+    root: Path, matrix: NDArray[np.float64], shift: NDArray[np.float64] | None = None
+) -> None:
     for path in root.rglob("velodyne_points/data/*.bin"):
         points = np.fromfile(path, np.float32).reshape(-1, 4)
         points[:, :3] = points[:, :3] @ matrix.T + (0.0 if shift is None else shift)

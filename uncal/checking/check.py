@@ -16,10 +16,10 @@ from uncal.checking.evidence import View, view_of
 from uncal.checking.finding import DriveReport, Finding
 from uncal.checking.layouts import Drive, find_layout
 from uncal.errors import FrameError, RecordingError
+from uncal.events.pixel_map import PixelMap
 from uncal.progress import watched
 from uncal.recordings.frame import Frame, FrameId, Recording
 from uncal.reporting.overlay import draw_events, overlay_panel
-from uncal.events.pixel_map import PixelMap
 
 log = logging.getLogger(__name__)
 

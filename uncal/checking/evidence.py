@@ -157,7 +157,9 @@ def ring() -> Tensor:
     return torch.from_numpy(np.stack(turns)).float()
 
 
-def peak_height(views: Sequence[View], T: Tensor, K: Tensor | None = None, k1: float = 0.0) -> float:
+def peak_height(
+    views: Sequence[View], T: Tensor, K: Tensor | None = None, k1: float = 0.0
+) -> float:
     """How far a hypothesis stands above itself turned, over all frames together.
 
     Args:

@@ -153,9 +153,7 @@ def _cut_scans(scans: Sequence[Path]) -> list[Path]:
     return [scans[i] for i in np.flatnonzero(short)]
 
 
-def _sizes(
-    drive: str, images: Sequence[Path], declared: tuple[int, int] | None
-) -> list[Finding]:
+def _sizes(drive: str, images: Sequence[Path], declared: tuple[int, int] | None) -> list[Finding]:
     sizes = [png_size(path) for path in images]
     known: NDArray[np.int64] = np.array([size for size in sizes if size], dtype=np.int64)
     if not len(known):

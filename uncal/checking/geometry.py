@@ -1,4 +1,4 @@
-"""Which fault, if any, the edges of sweeps and images show: each repair against what is declared."""
+"""Which fault the edges of sweeps and images show: each repair against what is declared."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def finding(drive: str, judgement: Judgement) -> list[Finding]:
             drive,
             f"turned by 2° to 5°, the extrinsic fits about as well ({declared})",
             f"a peak of at least {SUPPORTED:g} σ at the extrinsic",
-            "look at the overlay: the extrinsic may be off by degrees, or the scenes have few edges",
+            "look at the overlay: the extrinsic may be degrees off, or the scenes have few edges",
             error=False,
         )
     ]

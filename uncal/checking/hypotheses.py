@@ -66,6 +66,12 @@ def hypotheses(view: View) -> list[Hypothesis]:
             "camera frame",
             "the points project without any extrinsic: they are in the camera's frame",
             "use the points as the LiDAR gave them, or the identity as T_cam_lidar",
+            torch.eye(4),
+        ),
+        Hypothesis(
+            "camera frame",
+            "the points are in the frame of the camera that the LiDAR was calibrated to",
+            "use the points as the LiDAR gave them",
             rest,
         ),
         Hypothesis(
@@ -200,4 +206,3 @@ def degrees_read_as_radians(view: View, rough: View) -> list[Hypothesis]:
         )
         for i in best
     ]
-

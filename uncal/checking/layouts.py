@@ -157,5 +157,3 @@ def _first(folder: Path, cameras: tuple[str, ...]) -> str:
 
 def _read_stamps(read: Callable[[Path], NDArray[np.float64]], files: Mapping[str, Path]) -> Stamps:
     return {str(path): read(path) for path in files.values() if path.is_file()}
-
-

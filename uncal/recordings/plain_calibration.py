@@ -135,7 +135,7 @@ def read_rig(path: Path) -> Rig:
             where = f"extrinsics.{camera}.{lidar}"
             if camera not in cameras or lidar not in lidars:
                 raise RecordingError(f"{path}: {where} names no camera and LiDAR of the file.")
-            extrinsics[str(camera), str(lidar)] = _transform(value, path, where)
+            extrinsics[str(camera), str(lidar)] = parse_transform(value, path, where)
     pairing = _mapping(content.get("pairing") or {}, path, "pairing", set(), {"tolerance_s"})
     tolerance = pairing.get("tolerance_s")
     return Rig(
@@ -171,8 +171,21 @@ def _lens(value: object, path: Path, where: str) -> Lens:
     return Lens(K, size, model, tuple(float(number) for number in numbers))
 
 
-def _transform(value: object, path: Path, where: str) -> NDArray[np.float64]:
-    """A 4×4 matrix, or translation and one of several rotations."""
+def parse_transform(value: object, path: Path, where: str) -> NDArray[np.float64]:
+    """A 4×4 matrix, or a translation and one of several rotations.
+
+    Args:
+        value: as YAML has it.
+        path: of the file, for messages.
+        where: the key, likewise.
+
+    Returns:
+        (4, 4), metres.
+
+    Raises:
+        RecordingError: it is neither.
+        RotationError: its rotation is none.
+    """
     if not isinstance(value, Mapping):
         T = _array(value, path, where, (4, 4))
     else:

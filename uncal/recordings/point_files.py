@@ -129,9 +129,7 @@ def _table(text: bytes, names: list[str], n: int, path: Path) -> NDArray[np.floa
     if len(table) != n:
         raise FrameError(f"{path}: {len(table)} of {n} points; truncated, copy it again.")
     table = table[:, : len(names)]
-    return _columns(
-        np.rec.fromarrays(list(table.T), names=",".join(names[: table.shape[1]])), path
-    )
+    return _columns(np.rec.fromarrays(list(table.T), names=",".join(names[: table.shape[1]])), path)
 
 
 def _columns(array: NDArray[np.void], path: Path) -> NDArray[np.float32]:
