@@ -2,9 +2,9 @@
 
     python benchmarks/check.py OUT kitti=FOLDER… dsec=FOLDER… [name=FOLDER…]
 
-Copies each folder, breaks the copy in one way (:mod:`uncal.checking.breaking`), checks it, and notes
-for each drive which kinds were named as errors: the right one (found), another one (falsely found).
-A folder is read as DSEC's where it holds ``data``, else as KITTI raw. Writes OUT.csv and OUT.md.
+Copies each folder, breaks the copy in one way (:mod:`uncal.checking.breaking`), checks it, and
+notes for each drive which kinds were named as errors: the right one (found), another one (falsely
+found). A folder is read as DSEC's where it holds ``data``, else as KITTI raw. Writes OUT.csv and OUT.md.
 """
 
 from __future__ import annotations
@@ -60,8 +60,8 @@ def _page(table: pd.DataFrame) -> str:
     lines = [
         "# Faults that `python -m uncal.check` finds",
         "",
-        "Drives in which the fault was named / drives broken, and drives in which another fault was "
-        "named as an error. Each drive was broken in one way; 8 frames of each were compared.",
+        "Drives in which the fault was named / drives broken, and drives in which another fault "
+        "was named as an error. Each drive was broken in one way; 8 frames of each were compared.",
         "",
         "| fault | word | " + " | ".join(names) + " | falsely found |",
         "|---|---|" + "---|" * (len(names) + 1),

@@ -57,7 +57,7 @@ def test_cameras_and_lidars_by_name_and_units(tmp_path: Path) -> None:
     root = write(tmp_path / "root", rig())
     recording = PlainFolder(root)
     assert isinstance(recording, Recording)
-    assert [str(frame) for frame in recording.frame_ids][0] == "my_rig/monday/0000000000"
+    assert str(recording.frame_ids[0]) == "my_rig/monday/0000000000"
     frame = recording.load(recording.frame_ids[1])
     np.testing.assert_allclose(frame.points, POINTS, rtol=1e-6)
     np.testing.assert_array_equal(frame.T_cam_lidar, T)
