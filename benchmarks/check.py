@@ -4,7 +4,8 @@
 
 Copies each folder, breaks the copy in one way (:mod:`uncal.checking.breaking`), checks it, and
 notes for each drive which kinds were named as errors: the right one (found), another one (falsely
-found). A folder is read as DSEC's where it holds ``data``, else as KITTI raw. Writes OUT.csv and OUT.md.
+found). A folder is read as DSEC's where it holds ``data``, else as KITTI raw. Writes OUT.csv and
+OUT.md.
 """
 
 from __future__ import annotations

@@ -11,10 +11,10 @@ from uncal.configuration import exits_on_error, quiet_libraries
 
 DESCRIPTION = """\
 Looks for the usual mistakes in recordings of any supported layout (KITTI raw, KITTI odometry, DSEC,
-plain folder): inverted extrinsic, swapped axes or handedness, millimetres for metres, degrees for
-radians, a camera matrix of another resolution, distortion left in, clocks that differ or frames in
-another order, a rotation that is none, points already in the camera's frame, mirrored images,
-truncated or empty files, drives without scans, missing calibration.
+plain folder, bag or MCAP): inverted extrinsic, swapped axes or handedness, millimetres for metres,
+degrees for radians, a camera matrix of another resolution, distortion left in, clocks that differ
+or frames in another order, a rotation that is none, points already in the camera's frame, mirrored
+images, truncated or empty files, drives without scans, missing calibration.
 
 What concerns geometry is told by the data: edges of the sweeps, projected under the suspected fault
 and under its repair, against edges of the images."""
@@ -55,9 +55,12 @@ def parser() -> argparse.ArgumentParser:
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    command_line.add_argument("root", type=Path, metavar="ROOT", help="folder of the recordings")
     command_line.add_argument(
-        "--camera", help="image folder, or side of an event camera (default: the first recorded)"
+        "root", type=Path, metavar="ROOT", help="folder of the recordings, or bag"
+    )
+    command_line.add_argument(
+        "--camera",
+        help="image folder, side of an event camera, or topic (default: the first recorded)",
     )
     command_line.add_argument(
         "--frames", type=int, default=8, help="frames of each drive to compare (default: 8)"

@@ -11,8 +11,10 @@ import numpy as np
 import yaml  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 
+from uncal.checking.bags import BagRecording
 from uncal.errors import RecordingError
 from uncal.recordings import dsec_layout, kitti, kitti_odometry
+from uncal.recordings.bag_stream import is_bag
 from uncal.recordings.calibration_files import read_calibration_file
 from uncal.recordings.dsec import Dsec
 from uncal.recordings.folder_listing import contents
@@ -62,8 +64,10 @@ def find_layout(root: Path, camera: str | None) -> tuple[str, list[Drive]]:
         RecordingError: it is none of the layouts.
         ConfigurationError: the layout has no such camera.
     """
+    if is_bag(root):
+        return "bag", [Drive(root.name, partial(BagRecording, root, camera))]
     if not root.is_dir():
-        raise RecordingError(f"{root} does not exist or is no folder; give a folder of recordings.")
+        raise RecordingError(f"{root} is no folder of recordings and no bag.")
     if (root / FILE).is_file() or any(root.glob(f"*/{FILE}")):
         return "plain folder", [_plain(root, folder, camera) for folder in find_drives(root)]
     if (root / "sequences").is_dir():
@@ -81,6 +85,7 @@ def find_layout(root: Path, camera: str | None) -> tuple[str, list[Drive]]:
             "  plain folder     <root>/rig.yaml and <root>/<drive>/<sensor>/… (docs/own-rig.md)\n"
             "  KITTI raw        <root>/2011_09_26/2011_09_26_drive_0001_sync/…\n"
             "  KITTI odometry   <root>/sequences/00/…\n"
+            "  bag              <root>.bag, .mcap, .db3 or a folder with metadata.yaml\n"
             "  DSEC             <root>/zurich_city_04_a/events/… and <root>/data/zurich_city_04/…\n"
             f"As KITTI raw: {error}"
         ) from error
