@@ -22,12 +22,15 @@ from uncal.checking.check import check
 
 
 def main(out: Path, sources: dict[str, Path]) -> None:
-    """Break, check, count."""
-    rows = []
+    """Break, check, count; what OUT.csv has already is not repeated."""
+    path = out.with_suffix(".csv")
+    rows = pd.read_csv(path, keep_default_na=False).to_dict("records") if path.is_file() else []
     for name, source in sources.items():
         faults: dict[str, tuple[str, Break]] = {"none": ("", lambda _: None)}
         faults |= dsec_faults() if (source / "data").is_dir() else kitti_faults()
         for fault, (kind, put_in) in faults.items():
+            if any(row["recordings"] == name and row["fault"] == fault for row in rows):
+                continue
             with tempfile.TemporaryDirectory() as folder:
                 root = Path(folder) / "root"
                 shutil.copytree(source, root)
@@ -43,17 +46,14 @@ def main(out: Path, sources: dict[str, Path]) -> None:
                         "kind": kind,
                         "found": kind in named,
                         "falsely": ", ".join(sorted(named - {kind})),
-                        "warned": any(not finding.error for finding in report.findings),
                         "support": round(report.support, 1),
                     }
                 )
-            sys.stdout.write(f"{name}, {fault}: " + "; ".join(
-                f"{r['found']} {r['falsely']} {r['support']}" for r in rows[-len(checked.reports):]
-            ) + "\n")  # fmt: skip
+            table = pd.DataFrame(rows)
+            table.to_csv(path, index=False)
+            out.with_suffix(".md").write_text(_page(table), encoding="utf-8")
+            sys.stdout.write(f"{name}: {fault}\n")
             sys.stdout.flush()
-    table = pd.DataFrame(rows)
-    table.to_csv(out.with_suffix(".csv"), index=False)
-    out.with_suffix(".md").write_text(_page(table), encoding="utf-8")
 
 
 def _page(table: pd.DataFrame) -> str:

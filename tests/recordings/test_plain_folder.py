@@ -6,7 +6,10 @@ import cv2
 import numpy as np
 import pytest
 import yaml  # type: ignore[import-untyped]
+from hydra import compose, initialize_config_dir
+from hydra.utils import instantiate
 
+from uncal.configuration import CONFIG_DIR
 from uncal.errors import (
     CalibrationMissing,
     ConfigurationError,
@@ -18,6 +21,7 @@ from uncal.errors import (
 from uncal.recordings.frame import Recording
 from uncal.recordings.plain_folder import PlainFolder
 from uncal.recordings.point_files import read_point_file
+from uncal.settings.check import refuse_values
 
 SIZE = (48, 64)
 T = np.array([[0.0, -1, 0, 0.1], [0, 0, -1, 0.2], [1, 0, 0, 0.3], [0, 0, 0, 1]])
@@ -202,3 +206,14 @@ def test_las_through_laspy(tmp_path: Path) -> None:
     points, _ = read_point_file(tmp_path / "a.las")
     np.testing.assert_allclose(points[:, :3], POINTS[:, :3], atol=1e-3)
     assert points[:, 3].tolist() == [10, 20]
+
+
+def test_the_dataset_reads_it(tmp_path: Path) -> None:
+    root = write(tmp_path / "root", rig())
+    with initialize_config_dir(CONFIG_DIR, version_base="1.3"):
+        choices = ["dataset=folder", f"dataset.root={root}", "dataset.lidar=top"]
+        config = compose("train", choices)
+    refuse_values(config, None)
+    recording = instantiate(config.dataset.recording)
+    assert isinstance(recording, PlainFolder)
+    assert len(recording.frame_ids) == 3
