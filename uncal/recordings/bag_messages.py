@@ -60,8 +60,8 @@ def image_of(message: Any) -> NDArray[np.uint8]:  # noqa: ANN401
     if channels == 1:
         return np.repeat(image, 3, axis=2)
     if encoding.startswith("rgb"):
-        return np.ascontiguousarray(image[..., :3])
-    return np.ascontiguousarray(image[..., 2::-1])
+        return image[..., :3].copy()
+    return image[..., 2::-1].copy()
 
 
 def lens_of(message: Any, rectified: bool) -> Lens:  # noqa: ANN401

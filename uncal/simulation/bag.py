@@ -22,6 +22,9 @@ from scipy.spatial.transform import Rotation
 
 from uncal.recordings.kitti import KittiRaw
 
+_START = 1_700_000_000.0
+"""Seconds since 1970 at which a bag begins."""
+
 
 def write_bag(
     path: Path,
@@ -143,7 +146,11 @@ def drive_as_bag(root: Path, drive: str, out: Path) -> Path:
     """
     recording = KittiRaw(root, drives=[drive])
     frames = [recording.load(frame_id) for frame_id in recording.frame_ids]
-    times = [frame.time for frame in frames]
+    # ROS 2 counts seconds in 32 bits, which the simulation's dates, in 2041, do not fit into.
+    times = [
+        _START + (0.1 * i if np.isnan(frame.time) else frame.time - frames[0].time)
+        for i, frame in enumerate(frames)
+    ]
     images = [(t, frame.image) for t, frame in zip(times, frames, strict=True)]
     scans = [(t, frame.points) for t, frame in zip(times, frames, strict=True)]
     return write_bag(out, images, scans, frames[0].K, frames[0].T_cam_lidar)
