@@ -72,13 +72,15 @@ def _check(drive: Drive, n_frames: int, overlays: Path | None) -> DriveReport:
         recording = drive.open()
     except RecordingError as error:
         return DriveReport(drive.name, 0, float("nan"), (files.of_error(drive.name, error),))
-    found = files.of_files(drive.name, recording) + files.of_stamps(drive.name, drive.stamps())
+    found = files.of_files(drive.name, recording) + files.of_stamps(
+        drive.name, drive.stamps(), drive.by_number
+    )
     runs = chosen_runs(recording.frame_ids, n_frames)
     frames, unreadable = _load(recording, runs)
     if unreadable and not any(f.kind in ("truncated", "resolution") for f in found):
         found.append(
             Finding(
-                "truncated",
+                "resolution" if "pixels, but" in unreadable[0] else "truncated",
                 drive.name,
                 f"{len(unreadable)} frames cannot be read; {unreadable[0]}",
                 "files that can be read",

@@ -86,12 +86,13 @@ def of_files(drive: str, recording: Recording) -> list[Finding]:
     return [*found, *_sizes(drive, images, declared)]
 
 
-def of_stamps(drive: str, stamps: Stamps) -> list[Finding]:
+def of_stamps(drive: str, stamps: Stamps, by_number: bool) -> list[Finding]:
     """Clocks that run backwards or apart.
 
     Args:
         drive: name of the drive.
         stamps: of its sensors.
+        by_number: images and scans are paired by number, so that their stamps must agree.
     """
     found = []
     for path, times in stamps.items():
@@ -109,11 +110,10 @@ def of_stamps(drive: str, stamps: Stamps) -> list[Finding]:
                 )
             )
     series = list(stamps.items())
-    if len(series) == 2:
+    if by_number and len(series) == 2 and len(series[0][1]) == len(series[1][1]):
         (_, a), (path, b) = series
-        n = min(len(a), len(b))
-        interval = float(np.median(np.abs(np.diff(b)))) if n > 1 else np.nan
-        offset = float(np.nanmedian(a[:n] - b[:n])) if n else np.nan
+        interval = float(np.median(np.abs(np.diff(b)))) if len(b) > 1 else np.nan
+        offset = float(np.median(a - b)) if len(b) else np.nan
         if abs(offset) > 0.5 * interval:
             found.append(
                 Finding(

@@ -101,7 +101,7 @@ def finding(drive: str, judgement: Judgement) -> list[Finding]:
             f"turned by 2° to 5°, the extrinsic fits about as well ({declared})",
             f"a peak of at least {SUPPORTED:g} σ at the extrinsic",
             "look at the overlay: the extrinsic may be degrees off, or the scenes have few edges",
-            error=False,
+            error=bool(np.isnan(support)),
         )
     ]
 

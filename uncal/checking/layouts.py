@@ -21,7 +21,7 @@ from uncal.recordings.folder_listing import contents
 from uncal.recordings.frame import Recording
 from uncal.recordings.kitti import KittiRaw
 from uncal.recordings.kitti_odometry import KittiOdometry
-from uncal.recordings.plain_calibration import FILE
+from uncal.recordings.plain_calibration import FILE, read_rig
 from uncal.recordings.plain_folder import STAMPS, PlainFolder, find_drives
 from uncal.recordings.sensor_files import read_clock_times, read_second_times
 
@@ -42,12 +42,14 @@ class Drive:
         stamps: reads its time stamps.
         link: reads the (4, 4) transform LiDAR → another frame that the calibration file gives;
             None: that is the extrinsic itself.
+        by_number: images and scans are paired by number, and not by time.
     """
 
     name: str
     open: Callable[[], Recording]
     stamps: Callable[[], Stamps] = field(default=dict)
     link: Callable[[], NDArray[np.float64]] | None = None
+    by_number: bool = True
 
 
 def find_layout(root: Path, camera: str | None) -> tuple[str, list[Drive]]:
@@ -153,7 +155,12 @@ def _plain(root: Path, folder: Path, camera: str | None) -> Drive:
     name = f"{folder.parent.name}/{folder.name}"
     read = partial(PlainFolder, root, camera, drives=[name])
     files = {str(path): path for path in sorted(folder.glob(f"*/{STAMPS}"))}
-    return Drive(name, read, partial(_read_stamps, read_second_times, files))
+    stamps = partial(_read_stamps, read_second_times, files)
+    try:
+        by_number = read_rig(folder.parent / FILE).tolerance_s is None
+    except RecordingError:  # said when the drive is opened
+        by_number = True
+    return Drive(name, read, stamps, by_number=by_number)
 
 
 def _first(folder: Path, cameras: tuple[str, ...]) -> str:

@@ -37,7 +37,7 @@ CLOUDS = ("sensor_msgs/msg/PointCloud2",)
 INFOS = ("sensor_msgs/msg/CameraInfo",)
 _TRANSFORMS = "tf2_msgs/msg/TFMessage"
 
-_WAITING = 64
+_WAITING = 32
 """Messages that wait for a partner; beyond that the oldest has none."""
 
 _DAMAGE = (
@@ -165,7 +165,7 @@ class BagStream:
                 self.counts["scans"] += 1
                 scans.append((stamp, raw, connection.msgtype))
             # A scan can be paired once an image later than it is there.
-            while scans and images and (images[-1][0] >= scans[0][0] or len(scans) > _WAITING):
+            while scans and (len(scans) > _WAITING or (images and images[-1][0] >= scans[0][0])):
                 yield from self._paired(scans.popleft(), images)
             if len(images) > _WAITING and not scans:
                 images.popleft()

@@ -172,7 +172,7 @@ def find_drives(root: Path) -> list[Path]:
         raise RecordingError(f"The recordings folder {root} does not exist.")
     rigs = [root] if (root / FILE).is_file() else [root / name for name in subfolders(root)]
     rigs = [rig for rig in rigs if (rig / FILE).is_file()]
-    drives = [rig / name for rig in rigs for name in subfolders(rig)]
+    drives = [rig / name for rig in rigs for name in subfolders(rig) if subfolders(rig / name)]
     if not drives:
         raise RecordingError(
             f"{root} holds no {FILE} with a folder per drive beside it; found {contents(root)}. "
