@@ -61,8 +61,10 @@ def _page(table: pd.DataFrame) -> str:
     lines = [
         "# Faults that `python -m uncal.check` finds",
         "",
-        "Drives in which the fault was named / drives broken, and drives in which another fault "
-        "was named as an error. Each drive was broken in one way; 8 frames of each were compared.",
+        "Drives in which the fault was named / drives broken (of good ones: passed / checked), and "
+        "drives in which another fault was named as an error. Each drive was broken in one way; 8 "
+        "frames of each were compared. A dash: not run.",
+        "`python benchmarks/check.py docs/results/check NAME=FOLDER …` goes on with what is not.",
         "",
         "| fault | word | " + " | ".join(names) + " | falsely found |",
         "|---|---|" + "---|" * (len(names) + 1),
