@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
+import torch
 
 from uncal.checking import clocks, files, geometry
 from uncal.checking.evidence import View, view_of
@@ -18,6 +19,7 @@ from uncal.checking.layouts import Drive, find_layout
 from uncal.errors import FrameError, RecordingError
 from uncal.events.pixel_map import PixelMap
 from uncal.progress import watched
+from uncal.projection import project
 from uncal.recordings.frame import Frame, FrameId, Recording
 from uncal.reporting.overlay import draw_events, overlay_panel
 
@@ -97,7 +99,9 @@ def _check(drive: Drive, n_frames: int, overlays: Path | None) -> DriveReport:
     link = None if drive.link is None else drive.link()
     views = [[view_of(frame, link) for frame in run] for run in frames]
     judgement = geometry.judge([view for run in views for view in run])
-    found += geometry.finding(drive.name, judgement)
+    found += geometry.finding(
+        drive.name, judgement, any(_in_view(f) for run in frames for f in run)
+    )
     if judgement.repair is None:
         shifted = clocks.of_pairs(drive.name, views)
         if shifted:
@@ -140,6 +144,20 @@ def _load(
             except FrameError as error:
                 unreadable.append(str(error))
     return frames, unreadable
+
+
+def _in_view(frame: Frame) -> bool:
+    """Whether any point of the sweep falls into the image."""
+    if frame.image is not None:
+        size = (frame.image.shape[0], frame.image.shape[1])
+    else:
+        assert frame.events is not None
+        size = frame.events.size
+    points, T, K = (
+        torch.from_numpy(np.asarray(array, np.float32))[None]
+        for array in (frame.points, frame.T_cam_lidar, frame.K)
+    )
+    return bool((project(points, T, K, size).inverse_depth > 0).any())
 
 
 def _in_metres(frame: Frame) -> Frame:

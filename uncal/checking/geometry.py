@@ -73,15 +73,18 @@ def judge(views: Sequence[View]) -> Judgement:
     return Judgement(support, repair)
 
 
-def finding(drive: str, judgement: Judgement) -> list[Finding]:
+def finding(drive: str, judgement: Judgement, in_view: bool) -> list[Finding]:
     """The judgement in words.
 
     Args:
         drive: name of the drive.
         judgement: of its views.
+        in_view: whether any point of the sweeps is in the image, as declared.
     """
     support, repair = judgement
-    declared = "no edge of the sweep in the image" if np.isnan(support) else f"{support:.1f} σ"
+    declared = f"{support:.1f} σ"
+    if np.isnan(support):
+        declared = "too few edges in the image" if in_view else "no point is in the image"
     if repair is not None:
         return [
             Finding(
@@ -101,7 +104,7 @@ def finding(drive: str, judgement: Judgement) -> list[Finding]:
             f"turned by 2° to 5°, the extrinsic fits about as well ({declared})",
             f"a peak of at least {SUPPORTED:g} σ at the extrinsic",
             "look at the overlay: the extrinsic may be degrees off, or the scenes have few edges",
-            error=bool(np.isnan(support)),
+            error=not in_view,
         )
     ]
 
