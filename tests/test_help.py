@@ -13,7 +13,10 @@ import yaml  # type: ignore[import-untyped]
 from uncal.configuration import CONFIG_DIR
 from uncal.settings.help_page import show_help
 
-ENTRY_POINTS = ("train", "evaluate", "simulate", "benchmark", "report", "ship", "monitor")
+ENTRY_POINTS = (
+    *("train", "evaluate", "simulate", "benchmark", "report", "ship", "monitor", "check"),
+    "convert",
+)
 HEAVY = (
     *("torch", "lightning", "transformers", "matplotlib", "scipy", "cv2", "pandas", "numpy"),
     *("joblib", "submitit", "rosbags", "h5py", "uncal.assembly", "uncal.settings.check"),
@@ -64,7 +67,11 @@ def test_the_page_lists_every_group_and_its_options(capsys: pytest.CaptureFixtur
         "hydra/evaluate.yaml",
         "benchmark.yaml",
         "simulate.yaml",
+<<<<<<< HEAD
         "monitor.yaml",
+=======
+        "convert.yaml",
+>>>>>>> check
     ],
 )
 def test_the_page_is_a_page(name: str) -> None:

@@ -21,3 +21,15 @@ class ConfigurationError(UncalError):
 
 class DivergenceError(UncalError):
     """A training whose loss is no longer a finite number."""
+
+
+class CalibrationMissing(RecordingError):
+    """A calibration file is not there."""
+
+
+class RotationError(RecordingError):
+    """What a file gives for a rotation is none."""
+
+
+class NothingPaired(RecordingError):
+    """A recording of which no frame has both an image (or events) and a scan."""

@@ -156,7 +156,7 @@ def test_images_of_two_sizes_and_numbers_from_4391_share_a_batch(kitti_raw_root:
     frames = [frame for frame in data.recording.frame_ids if frame.index < 1 or frame.index > 4000]
     assert [frame.index for frame in frames] == [0, 0, 4391, 4392]
     dataset = data._dataset("test")
-    dataset.units = [[frame] for frame in frames]
+    dataset.units = [(frame,) for frame in frames]
     batch = collate([dataset[i] for i in range(4)])
     assert not batch.skipped
     assert batch.camera.shape == (4, 3, 64, 96)

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from uncal.errors import RecordingError
+from uncal.errors import CalibrationMissing, RecordingError, RotationError
 
 _ROTATION_TOLERANCE = 1e-3
 """Largest entry of R·Rᵀ - I; KITTI prints seven digits, so a larger one is a damaged file."""
@@ -53,7 +53,7 @@ def read_calibration_file(path: Path) -> dict[str, NDArray[np.float64]]:
     try:
         text = path.read_text(encoding="utf-8", errors="replace")
     except OSError as error:
-        raise RecordingError(
+        raise CalibrationMissing(
             f"Cannot read the calibration file {path} ({error.strerror}). KITTI offers the "
             "calibration as an archive of its own; unpack it over the recordings."
         ) from error
@@ -170,7 +170,7 @@ def _rotation(values: dict[str, NDArray[np.float64]], key: str, path: Path) -> N
 def _check_rotation(rotation: NDArray[np.float64], key: str, path: Path) -> None:
     defect = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
     if defect > _ROTATION_TOLERANCE or np.linalg.det(rotation) < 0:
-        raise RecordingError(
+        raise RotationError(
             f"{path}: '{key}' is not a rotation (R·Rᵀ is off the identity by {defect:.2g}, "
             f"det {np.linalg.det(rotation):.3f}). Restore the file from KITTI's archive."
         )

@@ -91,14 +91,18 @@ class Dsec:
         chosen = choose({name: [name] for name in folders}, sequences, "sequences")
         calibrations = _calibrate(folders.values(), side)
         rigs = _name_rigs(calibrations)
+        reasons: set[type[RecordingError]] = set()
         for name in chosen:
             try:
                 self._add(folders[name], calibrations[name], rigs.get(name, ""), side, scan_time)
             except RecordingError as error:
+                reasons.add(type(error))
                 self.skipped[name] = str(error)
                 log.warning("left out sequence %s: %s", name, error)
         if not self.frame_ids:
-            raise RecordingError(self._nothing_found(root, len(chosen)))
+            # One reason for all keeps its class: calibration, rotation, nothing to pair.
+            kinds = reasons if len(reasons) == 1 else {RecordingError}
+            raise kinds.pop()(self._nothing_found(root, len(chosen)))
 
     def load(self, frame_id: FrameId) -> Frame:
         """Read one frame.

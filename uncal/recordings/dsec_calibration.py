@@ -17,7 +17,7 @@ import numpy as np
 import yaml  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 
-from uncal.errors import RecordingError
+from uncal.errors import CalibrationMissing, RecordingError, RotationError
 from uncal.recordings.calibration_files import CameraCalibration
 
 SIDES: dict[str, int] = {"left": 0, "right": 3}
@@ -75,7 +75,7 @@ def _read(path: Path) -> object:
     try:
         content: object = yaml.safe_load(path.read_text(encoding="utf-8"))
     except OSError as error:
-        raise RecordingError(
+        raise CalibrationMissing(
             f"Cannot read the calibration file {path} ({error.strerror}). DSEC offers the "
             "calibration as an archive of its own; unpack it over the sequences."
         ) from error
@@ -138,7 +138,7 @@ def _rectification(cameras: object, number: int, path: Path) -> NDArray[np.float
 def _check_rotation(rotation: NDArray[np.float64], key: str, path: Path) -> None:
     defect = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
     if defect > _ROTATION_TOLERANCE or np.linalg.det(rotation) < 0:
-        raise RecordingError(
+        raise RotationError(
             f"{path}: '{key}' is not a rotation (R·Rᵀ is off the identity by {defect:.2g}, "
             f"det {np.linalg.det(rotation):.3f}). Restore the file from DSEC's archive."
         )

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from uncal.errors import FrameError, RecordingError
+from uncal.errors import FrameError, NothingPaired, RecordingError
 from uncal.recordings.calibration_files import CameraCalibration
 from uncal.recordings.dsec_clock import clock_time, on_event_clock
 from uncal.recordings.dsec_events import EventFile
@@ -144,7 +144,7 @@ def pair(
     (positions,) = np.nonzero(times_us <= events.end_us)
     if not len(positions):
         first, last = (events.t_offset + time for time in (events.first_us, events.end_us))
-        raise RecordingError(
+        raise NothingPaired(
             f"no scan of {bag.path} is from the time of its events, {clock_time(first)} to "
             f"{clock_time(last)} UTC; the scans are from {clock_time(int(times_ns[0]) // 1000)} "
             f"to {clock_time(int(times_ns[-1]) // 1000)}"

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from uncal.errors import ConfigurationError, FrameError, RecordingError
+from uncal.errors import ConfigurationError, FrameError, NothingPaired, RecordingError
 from uncal.recordings.calibration_files import CameraCalibration
 from uncal.recordings.folder_listing import list_indices
 from uncal.recordings.frame import Frame, FrameId
@@ -73,7 +73,7 @@ class FolderRecording:
 
     Raises:
         ConfigurationError: ``stride`` is below 1.
-        RecordingError: no frame has both an image and a scan.
+        NothingPaired: no frame has both an image and a scan.
 
     Attributes:
         frame_ids: every frame with an image and a scan, drive by drive, in order of number.
@@ -92,7 +92,7 @@ class FolderRecording:
         for drive in self._drives.values():
             self._list_drive(drive, stride)
         if not self.frame_ids:
-            raise RecordingError(self._nothing_found())
+            raise NothingPaired(self._nothing_found())
 
     def load(self, frame_id: FrameId) -> Frame:
         """Read one frame.
@@ -128,6 +128,15 @@ class FolderRecording:
             n_dropped=n_dropped,
             twist=drive.twist(frame_id.index),
         )
+
+    def paths(self, frame_id: FrameId) -> tuple[Path, Path]:
+        """Image and scan of one of :attr:`frame_ids`."""
+        drive = self._drives[frame_id.rig, frame_id.drive]
+        return drive.image_path(frame_id.index), drive.scan_path(frame_id.index)
+
+    def calibration(self, frame_id: FrameId) -> CameraCalibration:
+        """What the drive's files say of the camera of one of :attr:`frame_ids`."""
+        return self._drives[frame_id.rig, frame_id.drive].calibration
 
     def _list_drive(self, drive: DriveFolder, stride: int) -> None:
         images = list_indices(drive.images, drive.digits, ".png")

@@ -61,7 +61,7 @@ class KittiRaw(FolderRecording):
         if camera not in CAMERAS:
             raise ConfigurationError(f"camera is '{camera}', expected one of {', '.join(CAMERAS)}.")
         root = Path(root).expanduser()
-        chosen = choose(_find_drives(root), drives, "drives")
+        chosen = choose(find_drives(root), drives, "drives")
         number = CAMERAS.index(camera)
         calibrations = {
             date: raw_calibration(root / date, number) for date in dict.fromkeys(map(_date, chosen))
@@ -103,7 +103,7 @@ def _date(drive: str) -> str:
     return drive[: len("2011_09_26")]
 
 
-def _find_drives(root: Path) -> dict[str, list[str]]:
+def find_drives(root: Path) -> dict[str, list[str]]:
     """Drive folders under ``root``, sorted → the names that a user may write for them."""
     if not root.is_dir():
         raise RecordingError(f"The recordings folder {root} does not exist. {_remedy(root)}")

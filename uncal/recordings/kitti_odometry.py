@@ -54,7 +54,7 @@ class KittiOdometry(FolderRecording):
         if camera not in CAMERAS:
             raise ConfigurationError(f"camera is '{camera}', expected one of {', '.join(CAMERAS)}.")
         root = Path(root).expanduser()
-        available = {name: [name] for name in _find_sequences(root)}
+        available = {name: [name] for name in find_sequences(root)}
         number = CAMERAS.index(camera)
         folders = [
             root / "sequences" / name for name in choose(available, _names(sequences), "sequences")
@@ -94,7 +94,8 @@ def _rig_name(path: Path) -> str:
     return f"calib-{digest.hexdigest()[:8]}"
 
 
-def _find_sequences(root: Path) -> list[str]:
+def find_sequences(root: Path) -> list[str]:
+    """Names of the sequence folders of a KITTI odometry root, sorted."""
     if not root.is_dir():
         raise RecordingError(f"The recordings folder {root} does not exist. {_remedy(root)}")
     sequences = root / "sequences"

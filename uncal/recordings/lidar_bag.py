@@ -19,7 +19,7 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
-from uncal.errors import FrameError, RecordingError
+from uncal.errors import FrameError, NothingPaired, RecordingError
 from uncal.recordings.lidar_index import LidarIndex, cached_index
 from uncal.recordings.point_cloud2 import (
     BYTE,
@@ -77,7 +77,7 @@ class LidarBag:
 
     def __init__(self, path: Path) -> None:
         if not path.is_file():
-            raise RecordingError(f"no LiDAR recording at {path}")
+            raise NothingPaired(f"no LiDAR recording at {path}")
         self.path = path
         self.index: LidarIndex = cached_index(path, index_scans)
         self._opened: tuple[int, Reader] | None = None

@@ -1,0 +1,249 @@
+"""``rig.yaml`` of the plain folder: cameras, LiDARs and what leads from one to the other."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+import yaml  # type: ignore[import-untyped]
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from uncal.errors import CalibrationMissing, RecordingError, RotationError
+from uncal.geometry import euler_to_matrix
+
+FILE = "rig.yaml"
+
+UNITS: dict[str, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+"""Unit of lengths → metres."""
+
+COEFFICIENTS: dict[str, tuple[int, ...]] = {"none": (0,), "radtan": (4, 5, 8), "fisheye": (4,)}
+"""Lens → number of coefficients, OpenCV's order: k1, k2, p1, p2, k3, …, or k1 to k4."""
+
+_ROTATION_TOLERANCE = 1e-3
+
+
+@dataclass(frozen=True)
+class Lens:
+    """A camera as its file describes it, and the undistorted one that it is turned into.
+
+    Attributes:
+        K: (3, 3) camera matrix of the images as recorded, pixels.
+        size: (H, W) of those images; None where the file does not say.
+        model: a key of :data:`COEFFICIENTS`.
+        coefficients: of the distortion.
+    """
+
+    K: NDArray[np.float64]
+    size: tuple[int, int] | None
+    model: str = "none"
+    coefficients: tuple[float, ...] = ()
+
+    @cached_property
+    def K_undistorted(self) -> NDArray[np.float64]:
+        """(3, 3) camera matrix after :meth:`undistort`: all of its pixels come from the image."""
+        if self.model == "none":
+            return self.K
+        assert self.size is not None
+        size, lens = self.size[::-1], np.array(self.coefficients)
+        if self.model == "fisheye":
+            new = cv2.fisheye.estimateNewCameraMatrixForUndistortRectify(
+                self.K, lens, size, np.eye(3), balance=0.0
+            )
+        else:
+            new, _ = cv2.getOptimalNewCameraMatrix(self.K, lens, size, 0.0)
+        return np.asarray(new, dtype=np.float64)
+
+    def undistort(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """The image as a lens without distortion would show it.
+
+        Args:
+            image: (H, W, 3) as recorded.
+        """
+        if self.model == "none":
+            return image
+        column, row = self._maps
+        return np.asarray(cv2.remap(image, column, row, cv2.INTER_LINEAR), dtype=np.uint8)
+
+    @cached_property
+    def _maps(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        assert self.size is not None
+        of_model = cv2.fisheye if self.model == "fisheye" else cv2
+        return of_model.initUndistortRectifyMap(  # type: ignore[no-any-return]
+            self.K, np.array(self.coefficients), np.eye(3), self.K_undistorted,
+            self.size[::-1], cv2.CV_32FC1,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Rig:
+    """What ``rig.yaml`` says.
+
+    Attributes:
+        name: of the rig.
+        cameras: name → lens.
+        lidars: name → metres by the unit of its files, and the brightness that stands for 1.
+        T_cam_lidar: camera, LiDAR → (4, 4), metres.
+        tolerance_s: images and scans are paired by time, at most so far apart; None: by name.
+    """
+
+    name: str
+    cameras: dict[str, Lens]
+    lidars: dict[str, tuple[float, float]]
+    T_cam_lidar: dict[tuple[str, str], NDArray[np.float64]]
+    tolerance_s: float | None
+
+
+def read_rig(path: Path) -> Rig:
+    """Read ``rig.yaml``.
+
+    Args:
+        path: the file; docs/own-rig.md describes it.
+
+    Raises:
+        CalibrationMissing: it is not there.
+        RotationError: a rotation is none.
+        RecordingError: a key is missing or wrong.
+    """
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise CalibrationMissing(
+            f"Cannot read the calibration file {path} ({error.strerror}); docs/own-rig.md says "
+            "what belongs into it."
+        ) from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise RecordingError(f"{path} is no YAML file ({error}).") from error
+    content = _mapping(content, path, "the file", {"cameras", "lidars", "extrinsics"},
+                       {"name", "pairing"})  # fmt: skip
+    cameras = {
+        str(name): _lens(value, path, f"cameras.{name}")
+        for name, value in _mapping(content["cameras"], path, "cameras").items()
+    }
+    lidars = {}
+    for name, value in _mapping(content["lidars"], path, "lidars").items():
+        of = _mapping(value or {}, path, f"lidars.{name}", set(), {"units", "brightest"})
+        lidars[str(name)] = (_unit(of, path, f"lidars.{name}"), float(of.get("brightest", 1.0)))
+    extrinsics = {}
+    for camera, targets in _mapping(content["extrinsics"], path, "extrinsics").items():
+        for lidar, value in _mapping(targets, path, f"extrinsics.{camera}").items():
+            where = f"extrinsics.{camera}.{lidar}"
+            if camera not in cameras or lidar not in lidars:
+                raise RecordingError(f"{path}: {where} names no camera and LiDAR of the file.")
+            extrinsics[str(camera), str(lidar)] = parse_transform(value, path, where)
+    pairing = _mapping(content.get("pairing") or {}, path, "pairing", set(), {"tolerance_s"})
+    tolerance = pairing.get("tolerance_s")
+    return Rig(
+        str(content.get("name", path.parent.resolve().name)), cameras, lidars, extrinsics,
+        None if tolerance is None else float(tolerance),
+    )  # fmt: skip
+
+
+def _lens(value: object, path: Path, where: str) -> Lens:
+    of = _mapping(value, path, where, {"K"}, {"size", "distortion"})
+    K = _array(of["K"], path, f"{where}.K")
+    if K.shape == (4,):
+        K = np.array([[K[0], 0, K[2]], [0, K[1], K[3]], [0, 0, 1.0]])
+    if K.shape != (3, 3) or not (K[0, 0] > 0 and K[1, 1] > 0 and K[2, 2] == 1):
+        raise RecordingError(
+            f"{path}: {where}.K is {of['K']}, expected [fx, fy, cx, cy] or 3×3, in pixels."
+        )
+    size = None
+    if of.get("size") is not None:
+        width, height = _array(of["size"], path, f"{where}.size", (2,))
+        size = (round(float(height)), round(float(width)))
+    lens = _mapping(of.get("distortion") or {"model": "none"}, path, f"{where}.distortion",
+                    {"model"}, {"coefficients"})  # fmt: skip
+    model = str(lens["model"])
+    numbers = np.atleast_1d(_array(lens.get("coefficients") or [], path, where))
+    if model not in COEFFICIENTS or len(numbers) not in COEFFICIENTS[model]:
+        raise RecordingError(
+            f"{path}: {where}.distortion is {dict(lens)}, expected model none, radtan (4, 5 or 8 "
+            "coefficients) or fisheye (4)."
+        )
+    if model != "none" and size is None:
+        raise RecordingError(f"{path}: {where}.size is missing: [width, height] of the images.")
+    return Lens(K, size, model, tuple(float(number) for number in numbers))
+
+
+def parse_transform(value: object, path: Path, where: str) -> NDArray[np.float64]:
+    """A 4×4 matrix, or a translation and one of several rotations.
+
+    Args:
+        value: as YAML has it.
+        path: of the file, for messages.
+        where: the key, likewise.
+
+    Returns:
+        (4, 4), metres.
+
+    Raises:
+        RecordingError: it is neither.
+        RotationError: its rotation is none.
+    """
+    if not isinstance(value, Mapping):
+        T = _array(value, path, where, (4, 4))
+    else:
+        rotations = {"rotation", "rotation_deg", "rotation_rad", "quaternion_xyzw"}
+        of = _mapping(value, path, where, {"translation"}, rotations | {"units"})
+        given = rotations & set(of)
+        if len(given) != 1:
+            raise RecordingError(f"{path}: {where} needs one of {', '.join(sorted(rotations))}.")
+        key = given.pop()
+        numbers = _array(of[key], path, f"{where}.{key}")
+        T = np.eye(4)
+        if key == "rotation":
+            T[:3, :3] = numbers
+        elif key == "quaternion_xyzw":
+            T[:3, :3] = Rotation.from_quat(numbers).as_matrix()
+        else:
+            angles = torch.from_numpy(np.radians(numbers) if key == "rotation_deg" else numbers)
+            T[:3, :3] = euler_to_matrix(angles).numpy()
+        T[:3, 3] = _array(of["translation"], path, where, (3,)) * _unit(of, path, where)
+    defect = float(np.abs(T[:3, :3] @ T[:3, :3].T - np.eye(3)).max())
+    if defect > _ROTATION_TOLERANCE or np.linalg.det(T[:3, :3]) < 0:
+        raise RotationError(
+            f"{path}: {where} is not a rotation (R·Rᵀ is off the identity by {defect:.2g}, det "
+            f"{np.linalg.det(T[:3, :3]):.3f}). Write it row by row, with all its digits."
+        )
+    return T
+
+
+def _unit(of: Mapping[str, object], path: Path, where: str) -> float:
+    unit = str(of.get("units", "m"))
+    if unit not in UNITS:
+        raise RecordingError(f"{path}: {where}.units is {unit}, expected {', '.join(UNITS)}.")
+    return UNITS[unit]
+
+
+def _array(
+    value: object, path: Path, where: str, shape: tuple[int, ...] | None = None
+) -> NDArray[np.float64]:
+    try:
+        array = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        array = np.array(np.nan)
+    if not np.isfinite(array).all() or (shape is not None and array.shape != shape):
+        raise RecordingError(f"{path}: {where} is {value}, expected finite numbers {shape or ''}.")
+    return array
+
+
+def _mapping(
+    value: object, path: Path, where: str,
+    needed: set[str] | None = None, allowed: set[str] | None = None,
+) -> Mapping[str, object]:  # fmt: skip
+    if not isinstance(value, Mapping):
+        raise RecordingError(f"{path}: {where} is {value}, expected keys with values.")
+    if needed is not None and (missing := needed - set(value)):
+        raise RecordingError(f"{path}: {where} lacks {', '.join(sorted(missing))}.")
+    if needed is not None and (unknown := set(value) - needed - (allowed or set())):
+        raise RecordingError(
+            f"{path}: {where} has the unknown {', '.join(sorted(map(str, unknown)))}; known are "
+            f"{', '.join(sorted(needed | (allowed or set())))}."
+        )
+    return value
