@@ -67,11 +67,8 @@ def test_the_page_lists_every_group_and_its_options(capsys: pytest.CaptureFixtur
         "hydra/evaluate.yaml",
         "benchmark.yaml",
         "simulate.yaml",
-<<<<<<< HEAD
         "monitor.yaml",
-=======
         "convert.yaml",
->>>>>>> check
     ],
 )
 def test_the_page_is_a_page(name: str) -> None:

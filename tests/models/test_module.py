@@ -196,7 +196,8 @@ def test_prediction_by_a_trainer_is_stochastic_and_the_same_as_in_a_test(tmp_pat
         default_root_dir=str(tmp_path),
     )
     with patch.object(subject, "transfer_batch_to_device", lambda batch, *_: batch):
-        predicted = trainer.predict(subject, DataLoader([batch], batch_size=None)  # type: ignore[arg-type])
+        loader: DataLoader[object] = DataLoader([batch], batch_size=None)  # type: ignore[arg-type]
+        predicted = trainer.predict(subject, loader)
     assert predicted is not None
     (found,) = cast("list[SplitPrediction]", predicted)
     assert (found.std > 0).all()
