@@ -85,6 +85,7 @@ class AlignmentGraph(nn.Module):
                 "calibrate with interval=conformal or interval=absolute to export"
             )
         self.calibrator = calibrator
+        self.sigma_floor = float(calibrator.sigma_floor)
         quantiles = torch.stack([calibrator.quantile(level) for level in levels])
         joint = torch.stack([calibrator.joint_quantile(level) for level in levels])[:, None]
         if len(calibrator.scales):
@@ -188,7 +189,7 @@ class AlignmentGraph(nn.Module):
             variance = known + variance if self.spread == "total" else known
         std = variance.sqrt()
         if self.calibrator.needs_std:
-            std = std.clamp(min=float(self.calibrator.sigma_floor))
+            std = std.clamp(min=self.sigma_floor)
         anchors = self.calibrator._anchors(mean, std, None)
         return GraphOutput(
             mean, *anchors.widened(self.quantiles), *anchors.widened(self.joint_quantiles)

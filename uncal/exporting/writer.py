@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import logging
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -73,6 +74,25 @@ def write_graph(
             shapes = (None, {0: number}, None, None)
             torch.export.save(torch.export.export(graph, arguments, dynamic_shapes=shapes), out)
             return [out]
+    to_onnx(graph, arguments, out)
+    finder = out.with_name(f"{out.stem}_edges.py")
+    bounds = graph.estimator.bounds
+    source = edges_source(inputs.edges, float(bounds[3]), float(bounds[0]))
+    finder.write_text(source, encoding="utf-8")
+    return [out, finder]
+
+
+def to_onnx(graph: AlignmentGraph, arguments: tuple[Tensor, ...], out: Path) -> None:
+    """Write a graph as ONNX; the number of edges may differ from call to call.
+
+    Args:
+        graph: in evaluation mode.
+        arguments: of its forward, of the size that it is for.
+        out: the file.
+    """
+    with torch.no_grad(), warnings.catch_warnings():
+        # Of sizes that are constants, as they should be.
+        warnings.simplefilter("ignore")
         torch.onnx.export(
             graph,
             arguments,
@@ -83,11 +103,6 @@ def write_graph(
             output_names=list(OUTPUTS),
             dynamic_axes={"edges": {0: "edges"}},
         )
-    finder = out.with_name(f"{out.stem}_edges.py")
-    bounds = graph.estimator.bounds
-    source = edges_source(inputs.edges, float(bounds[3]), float(bounds[0]))
-    finder.write_text(source, encoding="utf-8")
-    return [out, finder]
 
 
 def make_graph(
