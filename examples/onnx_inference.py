@@ -37,7 +37,9 @@ def main(graph: str, image_file: str, sweep_file: str, rig_file: str) -> None:
     w, h = max(width, round(image.width * scale)), max(height, round(image.height * scale))
     left, top = (w - width) // 2, (h - height) // 2
     sx, sy = w / image.width, h / image.height
-    pixels = image.resize((w, h), Image.Resampling.BOX).crop((left, top, left + width, top + height))
+    pixels = image.resize((w, h), Image.Resampling.BOX).crop(
+        (left, top, left + width, top + height)
+    )
     K[0] *= sx
     K[1] *= sy
     K[:2, 2] += (sx - 1) / 2 - left, (sy - 1) / 2 - top
@@ -47,7 +49,8 @@ def main(graph: str, image_file: str, sweep_file: str, rig_file: str) -> None:
     inputs = np.asarray(pixels), edges, K.astype(np.float32), T_init.astype(np.float32)
     named = {entry.name: v for entry, v in zip(session.get_inputs(), inputs, strict=True)}
     mean, lower, upper, *_ = session.run(None, named)
-    for name, value, low, high in zip(NAMES, mean * SCALE, lower[0] * SCALE, upper[0] * SCALE):
+    for name, *row in zip(NAMES, mean * SCALE, lower[0] * SCALE, upper[0] * SCALE, strict=True):
+        value, low, high = row
         print(f"{name:10} {value:+8.3f}  [{low:+.3f}, {high:+.3f}]")
 
 

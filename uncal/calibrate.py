@@ -63,7 +63,6 @@ def main(config: DictConfig) -> None:
     module, trainer, data = build_module(run), build_trainer(run), build_data(run)
     load_weights(module, path, calibrated=False)
     module.eval()
-    data.setup("test")
     scores = predict_split(trainer, module, data, "uncertainty_calibration")
     frames = data.named("uncertainty_calibration")
     module.fit_calibrator(scores, frames)

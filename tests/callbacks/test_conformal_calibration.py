@@ -22,7 +22,7 @@ M, N = 400, 1000
 class Foreign(lightning.LightningModule):
     """What every module of the tests has in common with any other."""
 
-    def training_step(self, batch: Any, batch_idx: int) -> Tensor:
+    def training_step(self, batch: list[Tensor], batch_idx: int) -> Tensor:
         x, y = batch
         return F.mse_loss(self(x), y)
 
@@ -41,11 +41,11 @@ class Aleatoric(Foreign):
         mean, raw = self.net(x).chunk(2, -1)
         return torch.distributions.Normal(mean, F.softplus(raw) + 1e-3)
 
-    def training_step(self, batch: Any, batch_idx: int) -> Tensor:
+    def training_step(self, batch: list[Tensor], batch_idx: int) -> Tensor:
         x, y = batch
         return -self(x).log_prob(y).mean()
 
-    def predict_step(self, batch: Any, batch_idx: int) -> torch.distributions.Normal:
+    def predict_step(self, batch: list[Tensor], batch_idx: int) -> torch.distributions.Normal:
         found: torch.distributions.Normal = self(batch[0])
         return found
 

@@ -82,8 +82,9 @@ def test_too_few_frames_for_a_level_are_named(module: CalibrationModule) -> None
     before = module.calibrator
     ones = torch.ones(20, 6)
     module.calibrator = ConformalCalibrator().fit(ones, ones, torch.rand(20, 6))
-    with pytest.warns(UserWarning, match="too few"), pytest.raises(
-        ConfigurationError, match="20 calibration frames"
+    with (
+        pytest.warns(UserWarning, match="too few"),
+        pytest.raises(ConfigurationError, match="20 calibration frames"),
     ):
         AlignmentGraph(module, INPUTS, [0.99], module.masks)  # type: ignore[arg-type]
     module.calibrator = before

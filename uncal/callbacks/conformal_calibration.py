@@ -97,9 +97,7 @@ class ConformalCalibration(lightning.Callback):
         self.calibrator = calibrator
         return calibrator
 
-    def predict(
-        self, module: LightningModule, batch: object, level: float | Fraction
-    ) -> Intervals:
+    def predict(self, module: LightningModule, batch: object, level: float | Fraction) -> Intervals:
         """Intervals of new data.
 
         Args:

@@ -57,6 +57,4 @@ def edges_source(most: int, rotation: float, translation: float) -> str:
         first = next(i for i, line in enumerate(lines) if line.startswith("from __future__"))
         kept = [x for x in lines[first + 1 :] if not x.startswith(("import ", "from "))]
         parts.append("\n".join(kept).strip() + "\n\n")
-    return "\n".join(parts) + _ENTRY.format(
-        most=most, rotation=rotation, translation=translation
-    )
+    return "\n".join(parts) + _ENTRY.format(most=most, rotation=rotation, translation=translation)

@@ -145,7 +145,9 @@ class AlignmentGraph(nn.Module):
         normal, right = last.equations(curves, weights, projected, covariance, level)
         poses, _ = solve(normal, right, pose)
         _, of_solver = solve(normal.mean(0, keepdim=True), right.mean(0, keepdim=True), pose)
-        return self.intervals(poses * last.bounds, of_solver[0] * last.bounds[:, None] * last.bounds)
+        return self.intervals(
+            poses * last.bounds, of_solver[0] * last.bounds[:, None] * last.bounds
+        )
 
     def random_curves(
         self, read: Tensor, edges: Tensor, K: Tensor, projected: ProjectedEdges
@@ -166,9 +168,10 @@ class AlignmentGraph(nn.Module):
         query = network.queries[level](network.attributes(edges, K, projected))
         strength = edges[..., STRENGTH].clamp(0.02, 1.0).sqrt() * network.gain[level]
         fixed = torch.stack([1.0 - projected.along, projected.along], -1) * strength[..., None]
-        masked = query[0, :, None] * self.channel_dropout + F.pad(fixed, (network.features, 0))[
-            0, :, None
-        ]
+        masked = (
+            query[0, :, None] * self.channel_dropout
+            + F.pad(fixed, (network.features, 0))[0, :, None]
+        )
         curves = (masked @ read[0].permute(1, 0, 2)).transpose(0, 1)
         rows, columns = BLOCKS
         cell = (projected.pixels[0] / BLOCK_PX).long()
