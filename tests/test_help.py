@@ -12,7 +12,7 @@ import yaml  # type: ignore[import-untyped]
 
 from uncal.configuration import CONFIG_DIR
 
-ENTRY_POINTS = ("train", "evaluate", "simulate", "benchmark", "report")
+ENTRY_POINTS = ("train", "evaluate", "simulate", "benchmark", "report", "export", "calibrate")
 HEAVY = ("torch", "lightning", "transformers", "matplotlib", "scipy", "cv2", "pandas")
 
 
@@ -30,7 +30,11 @@ def test_entry_points_import_nothing_heavy_before_they_run() -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["hydra/default.yaml", "hydra/evaluate.yaml", "benchmark.yaml", "simulate.yaml"]
+    "name",
+    (
+        *("hydra/default.yaml", "hydra/evaluate.yaml", "benchmark.yaml", "simulate.yaml"),
+        *("export.yaml", "calibrate.yaml"),
+    ),
 )
 def test_the_page_is_a_page(name: str) -> None:
     content = yaml.safe_load((Path(CONFIG_DIR) / name).read_text(encoding="utf-8"))

@@ -100,7 +100,7 @@ def summary(
         if m < samples_needed(alpha):
             lines.append(f"{level:.0%}: not possible; it takes {samples_needed(alpha)} frames.")
             continue
-        bands = [(n, coverage_band(100_000, n, alpha, 0.9)) for n in (m, 4 * m)]
+        bands = [(n, coverage_band(10_000, n, alpha, 0.9)) for n in (m, 4 * m)]
         (_, now), (more, then) = bands
         lines.append(
             f"{level:.0%}: in 9 of 10 calibrations the coverage is {100 * now[0]:.1f}-"
