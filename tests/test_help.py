@@ -31,10 +31,10 @@ def test_entry_points_import_nothing_heavy_before_they_run() -> None:
 
 @pytest.mark.parametrize(
     "name",
-    (
+    [
         *("hydra/default.yaml", "hydra/evaluate.yaml", "benchmark.yaml", "simulate.yaml"),
         *("export.yaml", "calibrate.yaml"),
-    ),
+    ],
 )
 def test_the_page_is_a_page(name: str) -> None:
     content = yaml.safe_load((Path(CONFIG_DIR) / name).read_text(encoding="utf-8"))
