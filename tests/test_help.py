@@ -15,7 +15,7 @@ from uncal.settings.help_page import show_help
 
 ENTRY_POINTS = (
     *("train", "evaluate", "simulate", "benchmark", "report", "ship", "monitor", "check"),
-    "convert",
+    *("convert", "export", "calibrate"),
 )
 HEAVY = (
     *("torch", "lightning", "transformers", "matplotlib", "scipy", "cv2", "pandas", "numpy"),
@@ -68,6 +68,8 @@ def test_the_page_lists_every_group_and_its_options(capsys: pytest.CaptureFixtur
         "benchmark.yaml",
         "simulate.yaml",
         "monitor.yaml",
+        "export.yaml",
+        "calibrate.yaml",
         "convert.yaml",
     ],
 )

@@ -63,7 +63,7 @@ def project_edges(
     """
     present = ~edges[..., 0].isnan()
     q = transform_points(T, torch.where(present[..., None], edges[..., :3], 0.0))
-    present &= q[..., 2] > NEAREST_M
+    present = present & (q[..., 2] > NEAREST_M)
     ahead = q.new_tensor([0.0, 0.0, 10.0])
     q = torch.where(present[..., None], q, ahead)
     focal, centre = torch.stack([K[:, 0, 0], K[:, 1, 1]], -1), K[:, :2, 2]

@@ -12,6 +12,9 @@ from torch import Tensor
 from uncal.errors import ConfigurationError
 from uncal.models.answer import State
 
+Operator = Callable[[Tensor], Tensor]
+"""Of one tensor."""
+
 LogLikelihood = Callable[[Tensor], Tensor]
 """(n, P, 6) poses in units of the range → (n, P)."""
 
@@ -52,7 +55,13 @@ class SearchSettings:
             )
 
 
-def search(rounds: Sequence[LogLikelihood], n: int, settings: SearchSettings) -> State:
+def search(
+    rounds: Sequence[LogLikelihood],
+    n: int,
+    settings: SearchSettings,
+    cholesky: Operator = torch.linalg.cholesky,
+    ndtr: Operator = torch.special.ndtr,
+) -> State:
     """Mean and covariance of the posterior, under a uniform prior over the range.
 
     A pose ξ in (-1, 1)⁶ is searched as y = Φ⁻¹((ξ + 1) / 2), whose prior is N(0, I), so that no
@@ -68,6 +77,8 @@ def search(rounds: Sequence[LogLikelihood], n: int, settings: SearchSettings) ->
         rounds: the log-likelihood of each round, smooth ones first, the sharpest last.
         n: number of units.
         settings: samples and seed.
+        cholesky: lower factor of (n, 6, 6); another one where an exported graph has none.
+        ndtr: cumulative normal distribution.
 
     Returns:
         The state, in units of the range; on the device and of the type of the likelihood's values.
@@ -86,12 +97,12 @@ def search(rounds: Sequence[LogLikelihood], n: int, settings: SearchSettings) ->
     kept: list[tuple[LogLikelihood, Tensor, Tensor, Tensor]] = []
     exponent = mean[:, :1]
     for likelihood, z in zip(rounds, draws, strict=True):
-        factor = torch.linalg.cholesky(covariance)
+        factor = cholesky(covariance)
         y = mean[:, None] + z.to(mean) @ factor.transpose(1, 2)
         log_det = factor.diagonal(dim1=1, dim2=2).log().sum(1)
         # Of prior and proposal; their constants cancel.
         ratio = 0.5 * (z.to(mean).square().sum(-1) - y.square().sum(-1)) + log_det[:, None]
-        pose = 2.0 * torch.special.ndtr(y) - 1.0
+        pose = 2.0 * ndtr(y) - 1.0
         log = likelihood(pose)
         mean, covariance, y, ratio = (t.to(log) for t in (mean, covariance, y, ratio))
         exponent = temper(log, ratio, settings.effective)

@@ -1,0 +1,141 @@
+"""The exported graph against the module that it is made of."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from uncal.assembly import build_module
+from uncal.checkpoint import load_weights, read_recipe
+from uncal.data.network_input import InputSettings, NetworkInput
+from uncal.edges.sweep import COLUMNS, find_edges
+from uncal.errors import ConfigurationError
+from uncal.exporting.edges_file import edges_source
+from uncal.exporting.graph import AlignmentGraph
+from uncal.exporting.writer import example, write_graph
+from uncal.models.module import CalibrationModule
+from uncal.recordings.frame import FrameId
+from uncal.uncertainty import ConformalCalibrator
+from uncal.weights.shipped import find_weights
+
+SIZE = (64, 160)
+LEVELS = [0.9, 0.95]
+INPUTS = InputSettings(
+    channels=["rgb"], inverse_depth_scale=1.0, intensity_scale=1.0, rgb_mean=0.45, rgb_std=0.225
+)
+
+
+@pytest.fixture(scope="module")
+def module() -> CalibrationModule:
+    """The shipped network with fixed masks, fewer rounds and passes."""
+    path = find_weights("unical")
+    recipe = read_recipe(path)
+    recipe.mcd.masks, recipe.mcd.passes, recipe.model.rounds = "fixed", 4, [4, 1]
+    module = build_module(recipe)
+    load_weights(module, path, calibrated=True)
+    module.eval()
+    return module
+
+
+def as_batch(image: Tensor, edges: Tensor, K: Tensor, T_init: Tensor) -> NetworkInput:
+    rgb = (image.permute(2, 0, 1)[None].float() / 255.0 - INPUTS.rgb_mean) / INPUTS.rgb_std
+    x = torch.cat([rgb, torch.zeros_like(rgb[:, :2])], 1)
+    zero = torch.zeros(1, dtype=torch.int64)
+    frame = FrameId("rig", "drive", 0)
+    return NetworkInput(
+        x, x[:, :1], K[None], T_init[None], torch.zeros(1, 6), zero, [frame], zero, edges[None]
+    )
+
+
+def make(module: CalibrationModule) -> AlignmentGraph:
+    assert module.masks is not None
+    with torch.no_grad():
+        return AlignmentGraph(module, INPUTS, LEVELS, module.masks).eval()
+
+
+@pytest.mark.parametrize("spread", ["solver", "dropout", "total"])
+def test_predicts_what_the_module_predicts(module: CalibrationModule, spread: str) -> None:
+    module.spread = spread
+    arguments = example(SIZE, edges=200)
+    with torch.no_grad():
+        found = make(module)(*arguments)
+    wanted = module.stochastic(as_batch(*arguments), "test")
+    bounds = module.estimator.bounds
+    assert isinstance(bounds, Tensor)
+    assert ((found.mean - wanted.mean[0]).abs() / bounds).max() < 1e-4
+    for number, level in enumerate(LEVELS):
+        intervals = module.calibrator.predict(wanted.mean, wanted.std, level)
+        box = module.calibrator.predict_joint(wanted.mean, wanted.std, level)
+        assert ((found.lower[number] - intervals.lower[0]).abs() / bounds).max() < 1e-3
+        assert ((found.upper[number] - intervals.upper[0]).abs() / bounds).max() < 1e-3
+        assert ((found.joint_upper[number] - box.upper[0]).abs() / bounds).max() < 1e-3
+    module.spread = "solver"
+
+
+def test_too_few_frames_for_a_level_are_named(module: CalibrationModule) -> None:
+    before = module.calibrator
+    ones = torch.ones(20, 6)
+    module.calibrator = ConformalCalibrator().fit(ones, ones, torch.rand(20, 6))
+    with (
+        pytest.warns(UserWarning, match="too few"),
+        pytest.raises(ConfigurationError, match="20 calibration frames"),
+    ):
+        AlignmentGraph(module, INPUTS, [0.99], module.masks)  # type: ignore[arg-type]
+    module.calibrator = before
+
+
+def test_wrong_settings_are_named(tmp_path: Path) -> None:
+    path = find_weights("unical")
+    with pytest.raises(ConfigurationError, match="format=tf"):
+        write_graph(path, tmp_path / "x", "tf", SIZE, LEVELS, 0)
+    with pytest.raises(ConfigurationError, match="multiples of 8"):
+        write_graph(path, tmp_path / "x", "onnx", (60, 161), LEVELS, 0)
+
+
+def test_edges_file_needs_numpy_alone(tmp_path: Path) -> None:
+    (tmp_path / "edges.py").write_text(edges_source(2048, 0.02, 0.1), encoding="utf-8")
+    azimuth, elevation = np.meshgrid(np.linspace(-0.6, 0.6, 300), np.linspace(-0.2, 0.1, 16))
+    distance = np.where(np.abs(azimuth) < 0.2, 6.0, 15.0)
+    flat = distance * np.cos(elevation)
+    xyz = flat * np.cos(azimuth), flat * np.sin(azimuth), distance * np.sin(elevation)
+    points = np.stack([*xyz, 0.3 + 0 * flat], -1).reshape(-1, 4).astype(np.float32)
+    np.save(tmp_path / "points.npy", points)
+    code = (
+        "import sys, numpy as np, edges; K = np.array([[100., 0, 80], [0, 100, 32], [0, 0, 1]]);"
+        "T = np.array([[0., -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]]);"
+        "np.save('found.npy', edges.edges_for_graph(np.load('points.npy'), K, T, (64, 160)));"
+        "assert not {'torch', 'uncal', 'cv2'} & set(sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", code], cwd=tmp_path, check=True)
+    found = np.load(tmp_path / "found.npy")
+    expected = {tuple(row) for row in find_edges(points)}
+    assert found.shape[1] == len(COLUMNS)
+    assert len(found) > 20
+    assert {tuple(row) for row in found} <= expected
+
+
+@pytest.mark.slow
+def test_onnxruntime_says_what_pytorch_says(module: CalibrationModule, tmp_path: Path) -> None:
+    onnxruntime = pytest.importorskip("onnxruntime")
+    pytest.importorskip("onnx")
+    from uncal.exporting.writer import to_onnx
+
+    graph = make(module)
+    to_onnx(graph, example(SIZE), tmp_path / "graph.onnx")
+    session = onnxruntime.InferenceSession(tmp_path / "graph.onnx")
+    bounds = module.estimator.bounds
+    assert isinstance(bounds, Tensor)
+    for edges in (10, 64, 300):
+        arguments = example(SIZE, edges)
+        named = zip(session.get_inputs(), arguments, strict=True)
+        got = session.run(None, {key.name: value.numpy() for key, value in named})
+        with torch.no_grad():
+            wanted = graph(*arguments)
+        for one, other in zip(got, wanted, strict=True):
+            assert ((torch.from_numpy(one) - other).abs() / bounds).max() < 1e-4

@@ -1,0 +1,1 @@
+"""A trained network with its masks, rounds and quantiles as one graph."""

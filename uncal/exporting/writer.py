@@ -1,0 +1,182 @@
+"""The graph of trained weights as a file."""
+
+from __future__ import annotations
+
+import importlib.util
+import logging
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+
+import torch
+from hydra.utils import instantiate
+from torch import Tensor, nn
+
+from uncal.assembly import build_module
+from uncal.checkpoint import load_weights, read_recipe
+from uncal.data.network_input import InputSettings
+from uncal.edges.sweep import COLUMNS
+from uncal.errors import ConfigurationError
+from uncal.exporting.edges_file import edges_source
+from uncal.exporting.graph import INPUTS, OUTPUTS, AlignmentGraph
+from uncal.uncertainty.masks import FixedMasks
+
+log = logging.getLogger(__name__)
+
+FORMATS: tuple[str, ...] = ("onnx", "torch_export")
+
+OPSET = 18
+"""Of the ONNX operators; grid_sample needs 16."""
+
+
+def write_graph(
+    weights: Path,
+    out: Path,
+    format: str,
+    size: tuple[int, int],
+    levels: Sequence[float],
+    mask_seed: int,
+) -> list[Path]:
+    """Write the graph.
+
+    Args:
+        weights: a checkpoint, or shipped weights.
+        out: file to write.
+        format: one of :data:`FORMATS`.
+        size: (H, W) of the images, multiples of 8 pixels.
+        levels: coverage levels.
+        mask_seed: of the masks, where the weights have none of their own.
+
+    Returns:
+        The files written.
+
+    Raises:
+        ConfigurationError: an unknown format or size, a missing package, or weights that cannot be
+            exported.
+    """
+    if format not in FORMATS:
+        raise ConfigurationError(f"format={format}: expected {' or '.join(FORMATS)}")
+    if len(size) != 2 or any(side < 32 or side % 8 for side in size):
+        raise ConfigurationError(
+            f"image_size={list(size)}: expected [H, W], multiples of 8 and at least 32 pixels"
+        )
+    missing = [n for n in ("onnx", "onnxscript") if importlib.util.find_spec(n) is None]
+    if format == "onnx" and missing:
+        raise ConfigurationError(
+            f"format=onnx needs {' and '.join(missing)}: pip install 'uncal[export]'"
+        )
+    graph, inputs = make_graph(weights, levels, mask_seed)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    arguments = example(size)
+    with torch.no_grad():
+        if format == "torch_export":
+            number = torch.export.Dim("edges", min=2, max=1_000_000)
+            shapes = (None, {0: number}, None, None)
+            torch.export.save(
+                torch.export.export(_Plain(graph), arguments, dynamic_shapes=shapes), out
+            )
+            return [out]
+    to_onnx(graph, arguments, out)
+    finder = out.with_name(f"{out.stem}_edges.py")
+    bounds = graph.estimator.bounds
+    source = edges_source(inputs.edges, float(bounds[3]), float(bounds[0]))
+    finder.write_text(source, encoding="utf-8")
+    return [out, finder]
+
+
+class _Plain(nn.Module):
+    """A graph whose output is a plain tuple, which a saved program can hold."""
+
+    def __init__(self, graph: AlignmentGraph) -> None:
+        super().__init__()
+        self.graph = graph
+
+    def forward(
+        self, image: Tensor, edges: Tensor, K: Tensor, T_init: Tensor
+    ) -> tuple[Tensor, ...]:
+        return tuple(self.graph(image, edges, K, T_init))
+
+
+def to_onnx(graph: AlignmentGraph, arguments: tuple[Tensor, ...], out: Path) -> None:
+    """Write a graph as ONNX; the number of edges may differ from call to call.
+
+    Args:
+        graph: in evaluation mode.
+        arguments: of its forward, of the size that it is for.
+        out: the file.
+    """
+    with torch.no_grad(), warnings.catch_warnings():
+        # Of sizes that are constants, as they should be.
+        warnings.simplefilter("ignore")
+        torch.onnx.export(
+            graph,
+            arguments,
+            out,
+            dynamo=False,
+            opset_version=OPSET,
+            input_names=list(INPUTS),
+            output_names=list(OUTPUTS),
+            dynamic_axes={"edges": {0: "edges"}},
+        )
+
+
+def make_graph(
+    weights: Path, levels: Sequence[float], mask_seed: int
+) -> tuple[AlignmentGraph, InputSettings]:
+    """The graph of trained weights, in evaluation mode.
+
+    Args:
+        weights: a checkpoint, or shipped weights.
+        levels: coverage levels.
+        mask_seed: of the masks, where the weights have none of their own.
+
+    Returns:
+        Graph and what its network reads.
+
+    Raises:
+        ConfigurationError: the weights cannot be exported.
+    """
+    recipe = read_recipe(weights)
+    if recipe.window.frames != 1:
+        raise ConfigurationError(
+            f"window.frames={recipe.window.frames}: a graph takes one frame; calibrate with "
+            "window.frames=1"
+        )
+    module = build_module(recipe)
+    load_weights(module, weights, calibrated=True)
+    if not module.calibrator.is_fitted:
+        raise ConfigurationError(f"{weights}: has no calibration; run uncal.evaluate on it first")
+    if module.masks is None:
+        log.warning(
+            "warning: these intervals were calibrated with fresh masks (mcd.masks=random), and a "
+            "graph has fixed ones: their coverage is not guaranteed. Calibrate with "
+            "mcd.masks=fixed, then export, for a guarantee."
+        )
+    inputs: InputSettings = instantiate(recipe.model.inputs)
+    masks = FixedMasks(mask_seed) if module.masks is None else module.masks
+    module.eval()
+    with torch.no_grad():
+        return AlignmentGraph(module, inputs, levels, masks).eval(), inputs
+
+
+def example(size: tuple[int, int], edges: int = 64) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Inputs of the right kind, made up.
+
+    Args:
+        size: (H, W) of the image, pixels.
+        edges: how many.
+
+    Returns:
+        Image, edges, K and T_init of :meth:`AlignmentGraph.forward`.
+    """
+    height, width = size
+    draws = torch.Generator().manual_seed(0)
+    found = torch.rand(edges, len(COLUMNS), generator=draws)
+    found[:, :3] = found[:, :3] * torch.tensor([30.0, 12.0, 2.0]) + torch.tensor([4.0, -6.0, -1.5])
+    found[:, 3] = torch.arange(edges) % 6
+    found[:, 4] = 1.0
+    focal = 0.6 * width
+    K = torch.tensor([[focal, 0.0, width / 2], [0.0, focal, height / 2], [0.0, 0.0, 1.0]])
+    T = torch.tensor([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
+    image = torch.randint(0, 256, (height, width, 3), dtype=torch.uint8, generator=draws)
+    return image, found, K, T
