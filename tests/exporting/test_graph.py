@@ -37,6 +37,7 @@ def module() -> CalibrationModule:
     path = find_weights("unical")
     recipe = read_recipe(path)
     recipe.mcd.masks, recipe.mcd.passes, recipe.model.rounds = "fixed", 4, [4, 1]
+    recipe.model.start.search.samples = 64
     module = build_module(recipe)
     load_weights(module, path, calibrated=True)
     module.eval()

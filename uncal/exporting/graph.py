@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -9,12 +10,12 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from uncal.data.network_input import InputSettings
+from uncal.data.network_input import InputSettings, NetworkInput
 from uncal.decalibration import correct
 from uncal.edges.evidence import ProjectedEdges, project_edges
 from uncal.edges.sweep import STRENGTH
 from uncal.errors import ConfigurationError
-from uncal.models.alignment import BEYOND, PRIOR, AlignmentEstimator
+from uncal.models.alignment import BEYOND, LEAST, PRIOR, AlignmentEstimator
 from uncal.models.evidence import BLOCK_PX, BLOCKS, STRIDES
 from uncal.models.module import CalibrationModule
 from uncal.uncertainty.dropout import dropout_layers, rate_of
@@ -127,15 +128,15 @@ class AlignmentGraph(nn.Module):
         size = (x.shape[-2], x.shape[-1])
         last = self.estimator.last
         maps = last.network.describe(x)
-        pose = torch.zeros_like(T_init[:, 0, :1]).expand(1, 6)
-        covariance = torch.eye(6)[None] / PRIOR
+        pose, covariance, precision = self.begin(x, edges, K, T_init)
+        before = pose
         for level in self.estimator.rounds[:-1]:
             T = correct(T_init, pose * last.bounds)
             projected = project_edges(edges, K, T, size, last.bounds)
             read = last.network.read(maps, projected, level)
             curves, weights = last.network.curves(read, edges, K, projected, level)
             normal, right = last.equations(curves, weights, projected, covariance, level)
-            pose, covariance = solve(normal, right, pose)
+            pose, covariance = solve(normal, right, pose, before, precision)
         T = correct(T_init, pose * last.bounds)
         projected = project_edges(edges, K, T, size, last.bounds)
         level = len(STRIDES) - 1
@@ -143,11 +144,38 @@ class AlignmentGraph(nn.Module):
             last.network.read(maps, projected, level), edges, K, projected
         )
         normal, right = last.equations(curves, weights, projected, covariance, level)
-        poses, _ = solve(normal, right, pose)
-        _, of_solver = solve(normal.mean(0, keepdim=True), right.mean(0, keepdim=True), pose)
+        poses, _ = solve(normal, right, pose, before, precision)
+        mean = normal.mean(0, keepdim=True), right.mean(0, keepdim=True)
+        _, of_solver = solve(*mean, pose, before, precision)
         return self.intervals(
             poses * last.bounds, of_solver[0] * last.bounds[:, None] * last.bounds
         )
+
+    def begin(
+        self, x: Tensor, edges: Tensor, K: Tensor, T_init: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """:meth:`AlignmentEstimator.begin` of operations that ONNX has.
+
+        Args:
+            x: (1, 3, H, W) normalised image.
+            edges: (1, M, columns).
+            K: (1, 3, 3).
+            T_init: (1, 4, 4).
+
+        Returns:
+            Mean (1, 6), covariance and precision (1, 6, 6) before the first round.
+        """
+        eye = torch.eye(6)[None]
+        estimator = self.estimator
+        if estimator.start is None:
+            return torch.zeros_like(T_init[:, 0, :1]).expand(1, 6), eye / PRIOR, PRIOR * eye
+        unit = torch.zeros(1, dtype=torch.int64)
+        target = torch.zeros(1, 6)
+        batch = NetworkInput(x, x[:, :1], K, T_init, target, unit, [], unit, edges)
+        state = estimator.start.align(batch, factor, normal_distribution)
+        covariance = estimator.start_inflation * state.covariance + LEAST * eye
+        inverse = inverse_factor(covariance)
+        return state.pose, covariance, inverse.transpose(1, 2) @ inverse
 
     def random_curves(
         self, read: Tensor, edges: Tensor, K: Tensor, projected: ProjectedEdges
@@ -199,28 +227,59 @@ class AlignmentGraph(nn.Module):
         )
 
 
-def solve(normal: Tensor, right: Tensor, pose: Tensor) -> tuple[Tensor, Tensor]:
+def solve(
+    normal: Tensor, right: Tensor, pose: Tensor, before: Tensor, precision: Tensor
+) -> tuple[Tensor, Tensor]:
     """:meth:`AlignmentEstimator.solve` without linear-algebra operators, which ONNX lacks.
 
     Args:
         normal: (N, 6, 6) normal equations of what is left.
         right: (N, 6).
-        pose: (1, 6) before, in units of the range.
+        pose: (1, 6) so far, in units of the range.
+        before: (1, 6) mean of the prior.
+        precision: (1, 6, 6) of the prior.
 
     Returns:
         (N, 6) total decalibration, (N, 6, 6) covariance.
 
     >>> _ = torch.manual_seed(0)
-    >>> A = torch.randn(2, 6, 9)
-    >>> _, covariance = solve(A @ A.mT, torch.zeros(2, 6), torch.zeros(1, 6))
-    >>> expected = torch.linalg.inv(A @ A.mT + PRIOR * torch.eye(6))
-    >>> torch.allclose(covariance, expected, atol=1e-5)
+    >>> A, zero = torch.randn(2, 6, 9), torch.zeros(1, 6)
+    >>> prior = PRIOR * torch.eye(6)
+    >>> _, covariance = solve(A @ A.mT, torch.zeros(2, 6), zero, zero, prior[None])
+    >>> torch.allclose(covariance, torch.linalg.inv(A @ A.mT + prior), atol=1e-5)
     True
     """
-    inverse = inverse_factor(normal + PRIOR * torch.eye(6))
+    inverse = inverse_factor(normal + precision)
     covariance = inverse.transpose(1, 2) @ inverse
-    step = (covariance @ (right - PRIOR * pose)[..., None])[..., 0]
+    right = right + (precision @ (before - pose)[..., None])[..., 0]
+    step = (covariance @ right[..., None])[..., 0]
     return (pose + step).clamp(-BEYOND, BEYOND), covariance
+
+
+def normal_distribution(y: Tensor) -> Tensor:
+    """Cumulative normal distribution, through the error function."""
+    return 0.5 * (1.0 + torch.erf(y / math.sqrt(2.0)))
+
+
+def factor(matrix: Tensor) -> Tensor:
+    """Lower Cholesky factor of (N, 6, 6), unrolled."""
+    L = _entries(matrix)
+    zero = torch.zeros_like(matrix[:, 0, 0])
+    rows = [torch.stack([*row, *[zero] * (5 - i)], -1) for i, row in enumerate(L)]
+    return torch.stack(rows, -2)
+
+
+def _entries(matrix: Tensor) -> list[list[Tensor]]:
+    """Rows of L in A = L Lᵀ, entry by entry."""
+    L: list[list[Tensor]] = []
+    for i in range(6):
+        L.append([])
+        for j in range(i + 1):
+            value = matrix[:, i, j]
+            for k in range(j):
+                value = value - L[i][k] * L[j][k]
+            L[i].append(value.sqrt() if i == j else value / L[j][j])
+    return L
 
 
 def inverse_factor(matrix: Tensor) -> Tensor:
@@ -232,14 +291,7 @@ def inverse_factor(matrix: Tensor) -> Tensor:
     Returns:
         (N, 6, 6) lower triangular.
     """
-    L: list[list[Tensor]] = []
-    for i in range(6):
-        L.append([])
-        for j in range(i + 1):
-            value = matrix[:, i, j]
-            for k in range(j):
-                value = value - L[i][k] * L[j][k]
-            L[i].append(value.sqrt() if i == j else value / L[j][j])
+    L = _entries(matrix)
     X: list[list[Tensor]] = []
     zero = torch.zeros_like(matrix[:, 0, 0])
     for i in range(6):

@@ -29,6 +29,9 @@ from uncal.models.evidence import STRIDES, EvidenceNetwork
 PRIOR = 3.0
 """Precision of a uniform distribution over -1..1, the decalibrations in units of their range."""
 
+LEAST = 1e-6
+"""Smallest variance of a start: a thousandth of the range, squared, so that it can be inverted."""
+
 BEYOND = 1.3
 """Estimates stay within this many ranges between rounds."""
 
@@ -261,8 +264,7 @@ class AlignmentEstimator(nn.Module):
                 batch.K.new_zeros(n, 6), (torch.eye(6) / PRIOR).to(batch.K).expand(n, 6, 6)
             )
         pose, covariance, _ = self.start.align(batch)
-        # A thousandth of the range at least, so that it can be inverted.
-        covariance = self.start_inflation * covariance + 1e-6 * torch.eye(6).to(covariance)
+        covariance = self.start_inflation * covariance + LEAST * torch.eye(6).to(covariance)
         return State(pose, covariance, Prior(pose, torch.linalg.inv(covariance)))
 
     def align(self, batch: NetworkInput, rounds: Sequence[int]) -> State:

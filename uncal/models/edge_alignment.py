@@ -17,7 +17,7 @@ from uncal.edges.sweep import KIND, KINDS, N_ACROSS, STRENGTH
 from uncal.errors import ConfigurationError, UncalError
 from uncal.geometry import transform_points
 from uncal.models.answer import Answer, Question, State
-from uncal.models.pose_search import LogLikelihood, SearchSettings, search
+from uncal.models.pose_search import LogLikelihood, Operator, SearchSettings, search
 
 
 class EdgeAlignment(nn.Module):
@@ -164,11 +164,18 @@ class EdgeAlignmentEstimator(nn.Module):
         """What passes repeat; see :meth:`EdgeAlignment.forward`."""
         return self.network
 
-    def align(self, batch: NetworkInput) -> State:
-        """Mean and covariance of the pose of every unit.
+    def align(
+        self,
+        batch: NetworkInput,
+        cholesky: Operator = torch.linalg.cholesky,
+        ndtr: Operator = torch.special.ndtr,
+    ) -> State:
+        """Mean and covariance of the pose of every unit, in units of the range.
 
-        Returns:
-            The state, in units of the range.
+        Args:
+            batch: B frames of n units.
+            cholesky: as in :func:`uncal.models.pose_search.search`.
+            ndtr: the same.
         """
         # Pixels and metres need more than half precision.
         with torch.no_grad(), torch.autocast(batch.x.device.type, enabled=False):
@@ -182,7 +189,7 @@ class EdgeAlignmentEstimator(nn.Module):
                 strength = strength * self.network.sharpness[level]
                 likelihood = partial(self._likelihood, batch, strength, edges, weights)
                 rounds += [likelihood] * number
-            return search(rounds, len(batch.place), self.settings)
+            return search(rounds, len(batch.place), self.settings, cholesky, ndtr)
 
     def _likelihood(
         self, batch: NetworkInput, strength: Tensor, edges: Tensor, weights: Tensor, pose: Tensor
