@@ -101,9 +101,10 @@ def watch(config: DictConfig, folder: Path) -> str:
         A summary.
     """
     weights = str(config.weights or config.ckpt)
-    source = _source(config, config.source)
-    open_recording(source) if not source.follow else None
-    monitor = Monitor(weights, references=config.references, settings=_settings(config))
+    settings, source = _settings(config), _source(config, config.source)
+    if not source.follow:
+        open_recording(source)
+    monitor = Monitor(weights, references=config.references, settings=settings)
     for note in monitor.notes:
         log.warning("%s", note)
     about = {
