@@ -1,7 +1,6 @@
 """A Python file that finds the edges of a sweep with NumPy alone, put together from this package's.
 
-Sorting a sweep by laser and azimuth is not part of the graph: how a file is ordered decides which
-of two algorithms is right, and ONNX has no honest equal of either.
+Sorting a sweep by laser and azimuth is not part of the graph, which begins with edges.
 """
 
 from __future__ import annotations
