@@ -60,4 +60,4 @@ def main(file: str, root: str, frames: int = 50) -> None:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:3])
+    main(sys.argv[1], sys.argv[2])

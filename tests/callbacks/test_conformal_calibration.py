@@ -43,7 +43,8 @@ class Aleatoric(Foreign):
 
     def training_step(self, batch: list[Tensor], batch_idx: int) -> Tensor:
         x, y = batch
-        return -self(x).log_prob(y).mean()
+        likelihood: Tensor = self(x).log_prob(y)
+        return -likelihood.mean()
 
     def predict_step(self, batch: list[Tensor], batch_idx: int) -> torch.distributions.Normal:
         found: torch.distributions.Normal = self(batch[0])

@@ -153,7 +153,8 @@ def seeing(monkeypatch: pytest.MonkeyPatch) -> None:
 
     def evidence(self: EvidenceReader, frame: Frame, T: np.ndarray, *rest: object) -> Evidence:
         truth, image = known.get(frame.points.tobytes(), (frame.T_cam_lidar, frame.image))
-        information = 1e4 if np.array_equal(frame.image, image) else 0.0
+        assert frame.image is not None
+        information = 1e4 if image is not None and np.array_equal(frame.image, image) else 0.0
         D = torch.from_numpy(decalibration_of(T, truth) / self.bounds).float()
         return Evidence(
             pack(information * torch.eye(6), information * D)[None], np.ones(len(STATISTICS))

@@ -86,8 +86,13 @@ def test_a_missing_estimate_is_no_alarm() -> None:
 
 
 def test_error_is_that_of_the_last_window() -> None:
-    moved = {"nominal X": -0.05, "before X": -0.05, "after X": -0.05}
-    last = {"after X": -0.01, "after Yaw": math.radians(0.2), "mean X": -0.03, "single X": np.nan}
+    moved: dict[str, object] = {"nominal X": -0.05, "before X": -0.05, "after X": -0.05}
+    last: dict[str, object] = {
+        "after X": -0.01,
+        "after Yaw": math.radians(0.2),
+        "mean X": -0.03,
+        "single X": np.nan,
+    }
     table = experiment(
         drive({8: moved | last, 9: moved | last | {"single X": -0.04}}, **STEP | moved)
     ).error()
@@ -115,8 +120,13 @@ def test_coverage_by_phase_counts_full_windows_only() -> None:
 
 
 def test_an_update_is_harmful_if_the_whole_becomes_worse() -> None:
-    good = {"updated": True, "before X": 0.05, "after X": 0.01, "after Yaw": 0.002}
-    bad = {"updated": True, "before X": 0.0, "after X": 0.03}
+    good: dict[str, object] = {
+        "updated": True,
+        "before X": 0.05,
+        "after X": 0.01,
+        "after Yaw": 0.002,
+    }
+    bad: dict[str, object] = {"updated": True, "before X": 0.0, "after X": 0.03}
     table = experiment(
         drive({3: bad}), drive({5: good, 6: good}, **STEP)
     ).updates().set_index("kind")  # fmt: skip
@@ -148,7 +158,7 @@ def test_response_compares_a_street_with_itself() -> None:
     for name, share in (("a", 1.0), ("b", 0.8)):
         for watcher, follows in (("monitor", share), ("blind", 0.0)):
             own: dict[str, object] = {"watcher": watcher, "drive": name, "mean X": 0.02}
-            moved = {"nominal X": -0.05, "mean X": 0.02 - 0.05 * follows}
+            moved: dict[str, object] = {"nominal X": -0.05, "mean X": 0.02 - 0.05 * follows}
             rows += [drive({}, **own), drive({n: moved for n in range(4, 10)}, **STEP | own)]
     table = experiment(*rows).blind().set_index("watcher")
     assert table.loc["monitor", "response"] == pytest.approx(0.9)

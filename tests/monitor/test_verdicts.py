@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 import torch
-from scipy.stats import binom
+from scipy.stats import binom  # type: ignore[import-untyped]
 
 from uncal.errors import ConfigurationError
 from uncal.geometry import DOF_NAMES

@@ -22,7 +22,7 @@ def measured(world: NDArray[np.float64], twist: NDArray[np.float64]) -> NDArray[
         delay = -np.arctan2(seen[:, 1], seen[:, 0]) / (2 * np.pi) * REVOLUTION_S
         for i, t in enumerate(delay):
             angle = np.linalg.norm(twist[3:]) * t
-            axis = twist[3:] / max(np.linalg.norm(twist[3:]), 1e-12)
+            axis = twist[3:] / max(float(np.linalg.norm(twist[3:])), 1e-12)
             v = world[i] - twist[:3] * t
             turned = (
                 v * np.cos(-angle)

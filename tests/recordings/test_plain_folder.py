@@ -53,7 +53,9 @@ def write(root: Path, content: dict[str, object], n: int = 3) -> Path:
         for lidar, scale in (("top", 1000.0), ("side", 1.0)):
             folder = root / "monday" / lidar
             folder.mkdir(parents=True, exist_ok=True)
-            (POINTS * np.float32([scale] * 3 + [1])).tofile(folder / f"{number:03d}.bin")
+            (POINTS * np.array([scale] * 3 + [1.0], np.float32)).tofile(
+                folder / f"{number:03d}.bin"
+            )
     return root
 
 

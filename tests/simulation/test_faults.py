@@ -92,7 +92,7 @@ def test_camera_is_black() -> None:
 
 
 def test_an_event_camera_falls_silent() -> None:
-    nothing = np.zeros(0)
+    nothing = np.zeros(0, np.float32)
     some = Events(nothing + 1, nothing, np.arange(5), nothing > 0, (0, 9), (4, 6))
     frames = [replace(frame, image=None, events=some) for frame in stream()]
     found = list(BlackCamera(3, 5)(frames))

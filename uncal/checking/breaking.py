@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import cv2
-import h5py
+import h5py  # type: ignore[import-untyped]
 import numpy as np
 import torch
 import yaml  # type: ignore[import-untyped]
@@ -26,7 +26,7 @@ Break = Callable[[Path], None]
 def kitti_faults() -> dict[str, tuple[str, Break]]:
     """Name of a fault → its kind, and what puts it into a KITTI raw folder (camera image_02)."""
     return {
-        "inverted extrinsic": ("inverted", lambda root: _velo(root, np.linalg.inv)),
+        "inverted extrinsic": ("inverted", lambda root: _velo(root, _inverse)),
         "axes: x right, y forward": ("axes", lambda root: _points(root, _XY)),
         "axes: y and z swapped": ("axes", lambda root: _points(root, _YZ)),
         "handedness: y to the right": ("axes", lambda root: _points(root, np.diag([1.0, -1, 1]))),
@@ -54,7 +54,7 @@ def kitti_faults() -> dict[str, tuple[str, Break]]:
 def dsec_faults() -> dict[str, tuple[str, Break]]:
     """The same for DSEC's layout; what its bag would have to be rewritten for is left out."""
     return {
-        "inverted extrinsic": ("inverted", lambda root: _lidar_yaml(root, np.linalg.inv)),
+        "inverted extrinsic": ("inverted", lambda root: _lidar_yaml(root, _inverse)),
         "translation in millimetres": ("millimetres", lambda root: _lidar_yaml(root, _millimetres)),
         "K of half the size": ("resolution", lambda root: _event_K(root, 0.5)),
         "K of twice the size": ("resolution", lambda root: _event_K(root, 2.0)),
@@ -127,15 +127,20 @@ def _camera_frame(root: Path) -> None:
         _points(date, T[:3, :3], T[:3, 3])
 
 
+def _inverse(T: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.asarray(np.linalg.inv(T), np.float64)
+
+
 def _images(root: Path, change: Callable[[NDArray[np.uint8], float], NDArray[np.uint8]]) -> None:
     for path in root.rglob("image_02/data/*.png"):
-        image = cv2.imread(str(path))
+        image = np.asarray(cv2.imread(str(path)), np.uint8)
         known = read_calibration_file(path.parents[3] / "calib_cam_to_cam.txt")
         cv2.imwrite(str(path), np.ascontiguousarray(change(image, known["P_rect_02"][0])))
 
 
 def _smaller(image: NDArray[np.uint8], _: float) -> NDArray[np.uint8]:
-    return cv2.resize(image, None, fx=0.75, fy=0.75, interpolation=cv2.INTER_AREA)
+    small = cv2.resize(image, None, fx=0.75, fy=0.75, interpolation=cv2.INTER_AREA)
+    return np.asarray(small, np.uint8)
 
 
 def _distorted(image: NDArray[np.uint8], focal: float) -> NDArray[np.uint8]:
@@ -144,7 +149,9 @@ def _distorted(image: NDArray[np.uint8], focal: float) -> NDArray[np.uint8]:
     grid = np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1).reshape(-1, 1, 2)
     lens = np.array([-0.3, 0.0, 0.0, 0.0])
     at = cv2.undistortPoints(grid.astype(np.float64), K, lens, P=K).reshape(height, width, 2)
-    return cv2.remap(image, at.astype(np.float32), None, cv2.INTER_LINEAR)
+    at = at.astype(np.float32)
+    bent = cv2.remap(image, at[..., 0], at[..., 1], cv2.INTER_LINEAR)
+    return np.asarray(bent, np.uint8)
 
 
 def _order(root: Path, order: Callable[[int], NDArray[np.intp]]) -> None:

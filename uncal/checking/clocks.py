@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
+from scipy.optimize import linear_sum_assignment  # type: ignore[import-untyped]
 
 from uncal.checking.evidence import View, agreement
 from uncal.checking.finding import Finding
@@ -31,7 +31,7 @@ def agreements(views: Sequence[View]) -> NDArray[np.float64]:
         for j, scan in enumerate(views):
             pair = image._replace(edges=scan.edges, along=scan.along, weights=scan.weights)
             table[i, j] = float(agreement(pair, image.T[None])[0])
-    return np.nan_to_num(table)
+    return np.asarray(np.nan_to_num(table))
 
 
 def of_pairs(drive: str, runs: Sequence[Sequence[View]]) -> list[Finding]:

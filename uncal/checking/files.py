@@ -150,7 +150,7 @@ def _cut_scans(scans: Sequence[Path]) -> list[Path]:
     short = sizes < _SHORT * np.median(sizes)
     if scans and scans[0].suffix == ".bin":
         short |= (sizes == 0) | (sizes % 16 > 0)
-    return [scans[i] for i in np.flatnonzero(short)]
+    return [scans[int(i)] for i in np.flatnonzero(short)]
 
 
 def _sizes(drive: str, images: Sequence[Path], declared: tuple[int, int] | None) -> list[Finding]:

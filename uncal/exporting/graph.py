@@ -59,6 +59,8 @@ class AlignmentGraph(nn.Module):
 
     quantiles: Tensor
     joint_quantiles: Tensor
+    channel_dropout: Tensor
+    evidence_dropout: Tensor
 
     def __init__(
         self,
@@ -204,7 +206,7 @@ class AlignmentGraph(nn.Module):
         rows, columns = BLOCKS
         cell = (projected.pixels[0] / BLOCK_PX).long()
         index = torch.remainder(cell[:, 1], rows) * columns + torch.remainder(cell[:, 0], columns)
-        return curves, projected.seen * self.evidence_dropout.index_select(1, index)
+        return curves, projected.seen * torch.index_select(self.evidence_dropout, 1, index)
 
     def intervals(self, poses: Tensor, of_solver: Tensor) -> GraphOutput:
         """Mean, σ and what the quantiles make of them.

@@ -165,7 +165,8 @@ class LastRound(nn.Module):
         normal = weighted @ J + torch.linalg.inv(covariance)
         step = torch.linalg.solve(normal, weighted @ mean[..., None])
         left = mean - (J @ step).squeeze(-1)
-        return ((weight * left**2).sum(-1) / weight.sum(-1).clamp(min=1e-9)).sqrt()
+        mean_square: Tensor = (weight * left**2).sum(-1) / weight.sum(-1).clamp(min=1e-9)
+        return mean_square.sqrt()
 
 
 class Look(nn.Module):

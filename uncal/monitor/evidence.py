@@ -177,8 +177,8 @@ class EvidenceReader:
         bounds = self.range.bounds.to(equations)
         answer = Answer(poses * bounds, covariance * bounds[:, None] * bounds)
         std, _ = spread_of(answer, self.module.spread)
-        mean, std = (part[0].double().cpu().numpy() for part in (answer.samples.mean(0), std))
-        return Estimate(mean, std)
+        mean = answer.samples.mean(0)
+        return Estimate(mean[0].double().cpu().numpy(), std[0].double().cpu().numpy())
 
     def rebase(self, equations: Tensor, step: NDArray[np.float64]) -> Tensor:
         """The same evidence about an extrinsic that a decalibration has been taken out of.

@@ -94,7 +94,7 @@ class Monitor:
         Raises:
             ConfigurationError: before the first frame.
         """
-        return self._extrinsic.current.copy()
+        return np.array(self._extrinsic.current)
 
     @property
     def history(self) -> list[Change]:

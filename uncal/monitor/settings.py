@@ -10,7 +10,7 @@ from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
-from omegaconf import OmegaConf
+from omegaconf import DictConfig, OmegaConf
 
 from uncal.configuration import CONFIG_DIR
 from uncal.errors import ConfigurationError
@@ -199,7 +199,7 @@ class MonitorSettings:
         >>> MonitorSettings.shipped(window=4, limits={"width_cm": 20.0}).limits.width_cm
         20.0
         """
-        shipped = OmegaConf.load(Path(CONFIG_DIR) / "monitor.yaml")
+        shipped = cast("DictConfig", OmegaConf.load(Path(CONFIG_DIR) / "monitor.yaml"))
         names = {field.name for field in fields(cls)}
         if unknown := [name for name in changes if name not in names]:
             raise ConfigurationError(

@@ -8,7 +8,7 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import Rotation  # type: ignore[import-untyped]
 
 from uncal.recordings.plain_calibration import Lens
 
@@ -60,8 +60,8 @@ def image_of(message: Any) -> NDArray[np.uint8]:  # noqa: ANN401
     if channels == 1:
         return np.repeat(image, 3, axis=2)
     if encoding.startswith("rgb"):
-        return image[..., :3].copy()
-    return image[..., 2::-1].copy()
+        return np.array(image[..., :3], np.uint8)
+    return np.array(image[..., 2::-1], np.uint8)
 
 
 def lens_of(message: Any, rectified: bool) -> Lens:  # noqa: ANN401
@@ -112,7 +112,7 @@ def transform_between(
         T[:3, :3] = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
         T[:3, 3] = [t.x, t.y, t.z]
         steps.setdefault(child, {})[parent] = T
-        steps.setdefault(parent, {})[child] = np.linalg.inv(T)
+        steps.setdefault(parent, {})[child] = np.asarray(np.linalg.inv(T), np.float64)
     reached, front = {source.strip("/"): np.eye(4)}, [source.strip("/")]
     while front:
         frame = front.pop()

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 import yaml  # type: ignore[import-untyped]
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import Rotation  # type: ignore[import-untyped]
 
 from uncal.errors import CalibrationMissing, RecordingError, RotationError
 from uncal.geometry import euler_to_matrix
@@ -128,7 +128,10 @@ def read_rig(path: Path) -> Rig:
     lidars = {}
     for name, value in _mapping(content["lidars"], path, "lidars").items():
         of = _mapping(value or {}, path, f"lidars.{name}", set(), {"units", "brightest"})
-        lidars[str(name)] = (_unit(of, path, f"lidars.{name}"), float(of.get("brightest", 1.0)))
+        lidars[str(name)] = (
+            _unit(of, path, f"lidars.{name}"),
+            float(str(of.get("brightest", 1.0))),
+        )
     extrinsics = {}
     for camera, targets in _mapping(content["extrinsics"], path, "extrinsics").items():
         for lidar, value in _mapping(targets, path, f"extrinsics.{camera}").items():
@@ -140,7 +143,7 @@ def read_rig(path: Path) -> Rig:
     tolerance = pairing.get("tolerance_s")
     return Rig(
         str(content.get("name", path.parent.resolve().name)), cameras, lidars, extrinsics,
-        None if tolerance is None else float(tolerance),
+        None if tolerance is None else float(str(tolerance)),
     )  # fmt: skip
 
 

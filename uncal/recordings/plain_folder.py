@@ -107,7 +107,7 @@ class PlainFolder:
             raise RecordingError(f"Frame {frame_id} is none of this recording.")
         image_path, scan_path, time = drive.pairs[frame_id.index]
         points, n_dropped = read_point_file(scan_path)
-        points = points * np.float32([drive.scale] * 3 + [1.0 / drive.brightest])
+        points = points * np.array([drive.scale] * 3 + [1.0 / drive.brightest], np.float32)
         image = read_image(image_path)
         if drive.size is not None and image.shape[:2] != drive.size:
             raise FrameError(

@@ -117,7 +117,7 @@ def _ply(path: Path) -> NDArray[np.float32]:
 
 
 def _las(path: Path) -> NDArray[np.float32]:
-    import laspy  # an extra
+    import laspy  # type: ignore[import-untyped]  # an extra
 
     scan = laspy.read(path)
     columns = [scan.x, scan.y, scan.z, scan.intensity]
@@ -129,7 +129,10 @@ def _table(text: bytes, names: list[str], n: int, path: Path) -> NDArray[np.floa
     if len(table) != n:
         raise FrameError(f"{path}: {len(table)} of {n} points; truncated, copy it again.")
     table = table[:, : len(names)]
-    return _columns(np.rec.fromarrays(list(table.T), names=",".join(names[: table.shape[1]])), path)
+    rows = np.empty(n, np.dtype([(name, np.float64) for name in names[: table.shape[1]]]))
+    for name, column in zip(names, table.T, strict=False):
+        rows[name] = column
+    return _columns(rows, path)
 
 
 def _columns(array: NDArray[np.void], path: Path) -> NDArray[np.float32]:

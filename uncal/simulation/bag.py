@@ -18,7 +18,7 @@ from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import Rotation  # type: ignore[import-untyped]
 
 from uncal.recordings.kitti import KittiRaw
 
@@ -90,7 +90,7 @@ def write_bag(
     field = types["sensor_msgs/msg/PointField"]
     fields = [field(name, 4 * i, 7, 1) for i, name in enumerate(("x", "y", "z", "intensity"))]
     for seconds, points in scans:
-        bright = points * np.float32([1, 1, 1, 255])
+        bright = points * np.array([1, 1, 1, 255], np.float32)
         cloud = types["sensor_msgs/msg/PointCloud2"](
             header(seconds, "velodyne"), 1, len(points), fields, False, 16, 16 * len(points),
             np.frombuffer(bright.tobytes(), np.uint8), True,
@@ -151,7 +151,9 @@ def drive_as_bag(root: Path, drive: str, out: Path) -> Path:
         _START + (0.1 * i if np.isnan(frame.time) else frame.time - frames[0].time)
         for i, frame in enumerate(frames)
     ]
-    images = [(t, frame.image) for t, frame in zip(times, frames, strict=True)]
+    images = [
+        (t, frame.image) for t, frame in zip(times, frames, strict=True) if frame.image is not None
+    ]
     scans = [(t, frame.points) for t, frame in zip(times, frames, strict=True)]
     return write_bag(out, images, scans, frames[0].K, frames[0].T_cam_lidar)
 

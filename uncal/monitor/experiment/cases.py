@@ -113,8 +113,8 @@ class ExperimentSettings:
                 motion = self._motion({key: size})
                 name = f"step_{key}_{size:g}"
                 made.append(Case(STEP, name, self.drives[STEP], dof, float(size), motion))
-        for name, motion in self.motions.items():
-            made.append(Case(name, name, self.drives["motion"], motion=self._motion(motion)))
+        for name, keys in self.motions.items():
+            made.append(Case(name, name, self.drives["motion"], motion=self._motion(keys)))
         for name, target in self.faults.items():
             fault = instantiate(dict(target), first=self.onset, last=self.frames - 1)
             made.append(Case(FAULT, name, self.drives[FAULT], fault=fault))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from pathlib import Path
 
 import pandas as pd
@@ -54,7 +54,7 @@ DIGITS: dict[str, int] = {
 
 
 def write_tables(
-    folder: Path, tables: dict[str, pd.DataFrame], notes: Sequence[str], command: str
+    folder: Path, tables: dict[str, pd.DataFrame], notes: Iterable[str], command: str
 ) -> str:
     """Write ``monitor_<table>.csv`` and ``monitor.md``.
 

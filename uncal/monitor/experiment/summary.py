@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.stats import chi2  # type: ignore[import-untyped]
 
 from uncal.geometry import DOF_NAMES, DOF_SCALE, DOF_UNITS
 from uncal.monitor.experiment.cases import BLIND, FAULT, STEP, STILL
