@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import partial
 from typing import NamedTuple
 
 import torch
@@ -16,10 +17,15 @@ from uncal.edges.evidence import ProjectedEdges, project_edges
 from uncal.edges.sweep import STRENGTH
 from uncal.errors import ConfigurationError
 from uncal.models.alignment import BEYOND, LEAST, PRIOR, AlignmentEstimator
+from uncal.models.edge_alignment import Operators
 from uncal.models.evidence import BLOCK_PX, BLOCKS, STRIDES
 from uncal.models.module import CalibrationModule
+from uncal.models.pose_search import standard_normals
 from uncal.uncertainty.dropout import dropout_layers, rate_of
 from uncal.uncertainty.masks import FixedMasks
+
+LONGEST_FOCAL = 0.9
+"""Focal length, in widths of the image, up to which the start's blur is exact."""
 
 INPUTS: tuple[str, ...] = ("image", "edges", "K", "T_init")
 OUTPUTS: tuple[str, ...] = ("mean", "lower", "upper", "joint_lower", "joint_upper")
@@ -79,6 +85,10 @@ class AlignmentGraph(nn.Module):
         if module.engine.passes < 2:
             raise ConfigurationError("mcd.passes=1: export needs at least 2 passes")
         self.estimator = estimator
+        if estimator.start is not None:
+            # Drawn now and kept, so that the graph holds them as numbers.
+            search = estimator.start.settings
+            standard_normals(sum(estimator.start.network.rounds), search.samples, search.seed)
         self.mean_rgb, self.std_rgb = inputs.rgb_mean, inputs.rgb_std
         self.spread = module.spread
         calibrator = module.calibrator
@@ -174,7 +184,9 @@ class AlignmentGraph(nn.Module):
         unit = torch.zeros(1, dtype=torch.int64)
         target = torch.zeros(1, 6)
         batch = NetworkInput(x, x[:, :1], K, T_init, target, unit, [], unit, edges)
-        state = estimator.start.align(batch, factor, normal_distribution)
+        widest = float(estimator.start.network.blur.max()) * LONGEST_FOCAL * x.shape[-1]
+        blur = partial(blurred_by_shifts, reach=math.ceil(3.0 * widest))
+        state = estimator.start.align(batch, Operators(factor, normal_distribution, blur))
         covariance = estimator.start_inflation * state.covariance + LEAST * eye
         inverse = inverse_factor(covariance)
         return state.pose, covariance, inverse.transpose(1, 2) @ inverse
@@ -256,6 +268,35 @@ def solve(
     right = right + (precision @ (before - pose)[..., None])[..., 0]
     step = (covariance @ right[..., None])[..., 0]
     return (pose + step).clamp(-BEYOND, BEYOND), covariance
+
+
+def blurred_by_shifts(maps: Tensor, sigma: Tensor, reach: int) -> Tensor:
+    """:func:`uncal.edges.image.blurred` without a kernel that is computed, which ONNX lacks.
+
+    Args:
+        maps: (1, C, H, W).
+        sigma: (1,) pixels.
+        reach: offsets on each side, at least 3 σ.
+
+    >>> from uncal.edges.image import blurred
+    >>> maps, sigma = torch.rand(1, 2, 20, 30), torch.tensor([1.7])
+    >>> torch.allclose(blurred_by_shifts(maps, sigma, 9), blurred(maps, sigma), atol=1e-6)
+    True
+    """
+    offsets = torch.arange(-reach, reach + 1, dtype=maps.dtype)
+    kernel = torch.exp(-0.5 * (offsets / sigma).square()) * (offsets.abs() <= (3.0 * sigma).ceil())
+    kernel = kernel / kernel.sum()
+    height, width = maps.shape[-2:]
+    rows = F.pad(maps, (0, 0, reach, reach), mode="replicate")
+    maps = sum(
+        (kernel[i] * rows[..., i : i + height, :] for i in range(2 * reach + 1)),
+        torch.zeros_like(maps),
+    )
+    columns = F.pad(maps, (reach, reach, 0, 0), mode="replicate")
+    return sum(
+        (kernel[i] * columns[..., i : i + width] for i in range(2 * reach + 1)),
+        torch.zeros_like(maps),
+    )
 
 
 def normal_distribution(y: Tensor) -> Tensor:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
+from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -142,6 +143,23 @@ def score(strength: Tensor, edges: Tensor, weights: Tensor, K: Tensor, T: Tensor
     return (found[:, 0] @ weights[..., None]).squeeze(-1)
 
 
+class Operators(NamedTuple):
+    """What not every runtime has.
+
+    Attributes:
+        cholesky: as in :func:`uncal.models.pose_search.search`.
+        ndtr: the same.
+        blur: as :func:`uncal.edges.image.blurred`.
+    """
+
+    cholesky: Operator
+    ndtr: Operator
+    blur: Callable[[Tensor, Tensor], Tensor]
+
+
+EAGER = Operators(torch.linalg.cholesky, torch.special.ndtr, blurred)
+
+
 class EdgeAlignmentEstimator(nn.Module):
     """Searches the pose whose edges lie best on the image's; frames of a window are added up.
 
@@ -164,18 +182,12 @@ class EdgeAlignmentEstimator(nn.Module):
         """What passes repeat; see :meth:`EdgeAlignment.forward`."""
         return self.network
 
-    def align(
-        self,
-        batch: NetworkInput,
-        cholesky: Operator = torch.linalg.cholesky,
-        ndtr: Operator = torch.special.ndtr,
-    ) -> State:
+    def align(self, batch: NetworkInput, operators: Operators = EAGER) -> State:
         """Mean and covariance of the pose of every unit, in units of the range.
 
         Args:
             batch: B frames of n units.
-            cholesky: as in :func:`uncal.models.pose_search.search`.
-            ndtr: the same.
+            operators: others where an exported graph lacks the usual ones.
         """
         # Pixels and metres need more than half precision.
         with torch.no_grad(), torch.autocast(batch.x.device.type, enabled=False):
@@ -184,12 +196,14 @@ class EdgeAlignmentEstimator(nn.Module):
             edges = batch.edges.nan_to_num()
             rounds: list[LogLikelihood] = []
             for level, number in enumerate(self.network.rounds):
-                strength = blurred(maps, self.network.blur[level] * batch.K[:, 0, 0])
+                strength = operators.blur(maps, self.network.blur[level] * batch.K[:, 0, 0])
                 strength = strength - strength.mean((2, 3), keepdim=True)
                 strength = strength * self.network.sharpness[level]
                 likelihood = partial(self._likelihood, batch, strength, edges, weights)
                 rounds += [likelihood] * number
-            return search(rounds, len(batch.place), self.settings, cholesky, ndtr)
+            return search(
+                rounds, len(batch.place), self.settings, operators.cholesky, operators.ndtr
+            )
 
     def _likelihood(
         self, batch: NetworkInput, strength: Tensor, edges: Tensor, weights: Tensor, pose: Tensor

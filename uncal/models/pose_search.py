@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import cast
 
 import torch
@@ -13,7 +14,7 @@ from uncal.errors import ConfigurationError
 from uncal.models.answer import State
 
 Operator = Callable[[Tensor], Tensor]
-"""Of one tensor."""
+"""Of one tensor: lower Cholesky factor of (n, 6, 6), or cumulative normal distribution."""
 
 LogLikelihood = Callable[[Tensor], Tensor]
 """(n, P, 6) poses in units of the range → (n, P)."""
@@ -77,8 +78,8 @@ def search(
         rounds: the log-likelihood of each round, smooth ones first, the sharpest last.
         n: number of units.
         settings: samples and seed.
-        cholesky: lower factor of (n, 6, 6); another one where an exported graph has none.
-        ndtr: cumulative normal distribution.
+        cholesky: another one where an exported graph has none.
+        ndtr: the same.
 
     Returns:
         The state, in units of the range; on the device and of the type of the likelihood's values.
@@ -150,6 +151,7 @@ def temper(log: Tensor, ratio: Tensor, effective: float) -> Tensor:
     return torch.where(whole, torch.ones_like(low), low)
 
 
+@lru_cache(maxsize=8)
 def standard_normals(rounds: int, samples: int, seed: int) -> Tensor:
     """(rounds, samples, 6) quasi-random N(0, I), float32, on the CPU.
 
