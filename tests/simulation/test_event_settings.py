@@ -61,7 +61,7 @@ def test_a_missing_key_is_named(make_event_settings: MakeSettings) -> None:
     events = plain["events"]
     assert isinstance(events, dict)
     del events["dark"]
-    with pytest.raises(ConfigurationError, match=r"events\.dark; .*event_street\.yaml\) lists"):
+    with pytest.raises(ConfigurationError, match=r"events\.dark; .*event_street\.yaml.*\) lists"):
         SimulationSettings.from_mapping(plain)
 
 

@@ -87,7 +87,7 @@ def search(
     >>> def near(pose: Tensor) -> Tensor:
     ...     return -0.5 * ((pose - 0.4) / 0.1).square().sum(-1)
     >>> settings = SearchSettings(samples=256, effective=24, widening=1.3)
-    >>> pose, covariance = search([near] * 6, 1, settings)
+    >>> pose, covariance, _ = search([near] * 6, 1, settings)
     >>> bool((pose - 0.4).abs().max() < 0.03), round(covariance[0, 0, 0].sqrt().item(), 1)
     (True, 0.1)
     """

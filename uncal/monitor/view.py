@@ -141,7 +141,7 @@ def bar(lower: float, upper: float, limit: float) -> str:
         limit: at both ends of the bar.
 
     >>> bar(-1.0, 1.0, 2.0).strip("·")
-    '━━━━━━━━┿━━━━━━━━'
+    '━━━━━━━┿━━━━━━━'
     >>> bar(-math.inf, math.inf, 2.0) == "━" * 15 + "┿" + "━" * 15
     True
     """

@@ -65,7 +65,7 @@ def untwisted(rows: NDArray[np.float32], twist: NDArray[np.float64]) -> NDArray[
         The same shape; the other columns as they were.
 
     >>> point = np.array([[0.0, 5.0, 0.0]], np.float32)
-    >>> untwisted(point, np.array([8.0, 0.0, 0.0, 0.0, 0.0, 0.0])).round(2).tolist()
+    >>> untwisted(point, np.array([8.0, 0.0, 0.0, 0.0, 0.0, 0.0])).astype(float).round(2).tolist()
     [[-0.2, 5.0, 0.0]]
     """
     position = rows[:, :3].astype(np.float64)
