@@ -24,7 +24,7 @@ from uncal.decalibration import DecalibrationRange
 from uncal.edges.evidence import pack, unpack
 from uncal.errors import FrameError
 from uncal.models.alignment import PRIOR, AlignmentEstimator
-from uncal.models.answer import Answer, Estimator, State
+from uncal.models.answer import Answer, Estimator, Prior, State
 from uncal.models.edge_alignment import EdgeAlignmentEstimator
 from uncal.models.module import CalibrationModule
 from uncal.models.prediction import frame_seed, spread_of
@@ -45,10 +45,12 @@ class Evidence(NamedTuple):
         equations: (N, 27) packed normal equations of each stochastic pass, of the whole
             decalibration of the extrinsic assumed, in units of the range; without the prior.
         statistics: (K,) :data:`uncal.monitor.statistics.STATISTICS`.
+        prior: what the estimator knew of this frame before its rounds; None: nothing.
     """
 
     equations: Tensor
     statistics: NDArray[np.float64]
+    prior: Prior | None = None
 
 
 class Estimate(NamedTuple):
@@ -157,21 +159,23 @@ class EvidenceReader:
         batch = batch.to(self.device)
         with torch.inference_mode():
             inputs = make_input(batch, torch.zeros(1, 6, device=self.device), self.inputs)
-            equations, residual = self._equations(inputs, sample.frame)
+            equations, residual, prior = self._equations(inputs, sample.frame)
         alone = self.solve(equations)
         statistics = frame_statistics(sample, residual, float(np.log(alone.std).mean()))
-        return Evidence(equations, statistics)
+        return Evidence(equations, statistics, prior)
 
-    def solve(self, equations: Tensor) -> Estimate:
-        """The decalibration under the prior, given the sum of the evidence.
+    def solve(self, equations: Tensor, prior: Prior | None = None) -> Estimate:
+        """The decalibration under a prior, given the sum of the evidence.
 
         Args:
             equations: (N, 27).
+            prior: None: uniform over the range, as it is for windows, whose frames would repeat
+                each other's priors. With that of the frame it is what the module itself estimates.
 
         Returns:
             The estimate, with the spread that the weights' calibration names (``mcd.spread``).
         """
-        zero = State(equations.new_zeros(1, 6), equations.new_zeros(1, 6, 6))
+        zero = State(equations.new_zeros(1, 6), equations.new_zeros(1, 6, 6), prior)
         poses = AlignmentEstimator.solve(equations[:, None], zero).pose
         covariance = AlignmentEstimator.solve(equations.mean(0)[None], zero).covariance
         bounds = self.range.bounds.to(equations)
@@ -201,8 +205,10 @@ class EvidenceReader:
     def _reads_edges(self) -> bool:
         return isinstance(self._estimator, AlignmentEstimator | EdgeAlignmentEstimator)
 
-    def _equations(self, inputs: NetworkInput, frame: FrameId) -> tuple[Tensor, float]:
-        """(N, 27) and the solver's residual."""
+    def _equations(
+        self, inputs: NetworkInput, frame: FrameId
+    ) -> tuple[Tensor, float, Prior | None]:
+        """(N, 27), the solver's residual and the prior of this frame."""
         estimator = self._estimator
         with only_active(self.module.estimator, []):
             question = estimator.question(inputs)
@@ -216,13 +222,13 @@ class EvidenceReader:
             whole = right + normal @ question.state.pose[0]
             with only_active(self.module.estimator, []):
                 residual = estimator.last.residual(*question.arguments)
-            return pack(normal, whole), float(residual)
+            return pack(normal, whole), float(residual), question.state.prior
         if isinstance(estimator, EdgeAlignmentEstimator):
             assert question.state is not None
             pose, covariance, _ = question.state
-            return _without_prior(pose.float(), covariance.float()), 0.0
+            return _without_prior(pose.float(), covariance.float()), 0.0, None
         poses = estimator.answer(samples, inputs, question).samples[:, 0, :6]
-        return averaged(poses / self.range.bounds.to(poses)), 0.0
+        return averaged(poses / self.range.bounds.to(poses)), 0.0, None
 
     def _dataset(self, frame: Frame) -> FrameDataset:
         """With the size that frames of this camera are brought to."""

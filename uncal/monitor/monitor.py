@@ -212,7 +212,9 @@ class Monitor:
         interval = Interval.unknown()
         n = len(self.window)
         if n > 0:
-            estimate = self.reader.solve(self.window.total())
+            # The weights' own calibration is of what the module estimates, prior included.
+            prior = None if self.references else self.window.entries[-1].evidence.prior
+            estimate = self.reader.solve(self.window.total(), prior)
             interval = Interval.around(estimate.mean, estimate.std, self.quantiles.of(n))
             self._watch(estimate)
             if reference is not None:

@@ -1,0 +1,88 @@
+"""Evidence of single frames is what the module itself estimates from."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from uncal.assembly import build_module
+from uncal.checkpoint import save_weights
+from uncal.data.dataset import collate
+from uncal.data.network_input import make_input
+from uncal.edges.evidence import pack
+from uncal.models.alignment import AlignmentEstimator
+from uncal.monitor.evidence import EvidenceReader
+from uncal.recordings.frame import Frame, FrameId
+from uncal.settings.shipped import shipped_config
+
+T = np.array([[0.0, -1, 0, 0.05], [0, 0, -1, -0.08], [1, 0, 0, -0.27], [0, 0, 0, 1]])
+K = np.array([[230.0, 0.0, 103.5], [0.0, 230.0, 39.5], [0.0, 0.0, 1.0]])
+
+
+@pytest.fixture
+def reader(tmp_path: Path) -> EvidenceReader:
+    config = shipped_config("train", {})
+    config.mcd.passes = 3
+    torch.manual_seed(0)
+    save_weights(build_module(config), tmp_path / "untrained.ckpt")
+    return EvidenceReader(tmp_path / "untrained.ckpt", torch.device("cpu"), seed=0)
+
+
+@pytest.fixture
+def frame() -> Frame:
+    """Boxes of noise before a wall: depth edges, at azimuths and elevations of a LiDAR."""
+    rng = np.random.default_rng(0)
+    elevation, azimuth = np.meshgrid(
+        np.radians(np.linspace(4, -12, 32)), np.radians(np.arange(30, -30, -0.25)), indexing="ij"
+    )
+    depth = np.where((np.degrees(azimuth) // 6) % 2 == 0, 8.0, 14.0)
+    direction = np.stack(
+        [
+            np.cos(elevation) * np.cos(azimuth),
+            np.cos(elevation) * np.sin(azimuth),
+            np.sin(elevation),
+        ],
+        -1,
+    )
+    points = np.concatenate([direction * depth[..., None], np.full((*depth.shape, 1), 0.5)], -1)
+    image = rng.integers(0, 256, (80, 208, 3), dtype=np.uint8)
+    flat = points.reshape(-1, 4).astype(np.float32)
+    return Frame(FrameId("rig", "drive", 0), image, flat, K, T, 0.0)
+
+
+def test_with_its_prior_a_frame_says_what_the_module_estimates(
+    reader: EvidenceReader, frame: Frame
+) -> None:
+    estimator = reader.module.estimator
+    assert isinstance(estimator, AlignmentEstimator)
+    assert estimator.start is not None
+    sample = reader.prepare(frame, T)
+    assert len(sample.edges) > 100
+    evidence = reader.read(sample)
+    with torch.inference_mode():
+        inputs = make_input(collate([[sample]]), torch.zeros(1, 6), reader.inputs)
+        expected = reader.module.stochastic(inputs, "monitor")
+    found = reader.solve(evidence.equations, evidence.prior)
+    assert found.mean / reader.bounds == pytest.approx(
+        expected.mean[0].numpy() / reader.bounds, abs=1e-3
+    )
+    assert found.std == pytest.approx(expected.std[0].numpy(), rel=1e-3)
+    # Without it, the weights' own calibration would be of another estimator.
+    other = reader.solve(evidence.equations)
+    assert np.abs(other.std / expected.std[0].numpy() - 1).max() > 1e-3
+
+
+def test_a_step_taken_out_is_what_the_rebased_evidence_no_longer_finds(
+    reader: EvidenceReader,
+) -> None:
+    root = torch.randn(6, 6, generator=torch.Generator().manual_seed(0))
+    normal = 1e4 * (root @ root.T + torch.eye(6))  # so much that the prior hardly counts
+    truth = torch.tensor([0.5, -0.4, 0.3, -0.2, 0.1, 0.6])
+    equations = pack(normal, normal @ truth)[None].expand(3, 27)
+    assert reader.solve(equations).mean / reader.bounds == pytest.approx(truth.numpy(), abs=1e-2)
+    step = np.array([0.2, 0.0, 0.3, 0.1, -0.1, 0.4]) * reader.bounds
+    after = reader.solve(reader.rebase(equations, step)).mean
+    assert after / reader.bounds == pytest.approx(truth.numpy() - step / reader.bounds, abs=1e-2)
