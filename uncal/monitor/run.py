@@ -20,6 +20,7 @@ from uncal.monitor.settings import MonitorSettings
 from uncal.monitor.sources import SourceSettings, Unreadable, open_recording, stream
 from uncal.monitor.verdict import VERDICTS
 from uncal.monitor.view import View
+from uncal.simulation.manifest import MANIFEST_NAME
 from uncal.weights.shipped import find_weights, shipped_names
 
 log = logging.getLogger(__name__)
@@ -70,7 +71,9 @@ def calibrate(config: DictConfig, folder: Path) -> str:
     settings = _settings(config)
     recording = open_recording(_source(config, config.calibrate))
     reader = EvidenceReader(weights, _device(), settings.seed)
-    references = make_references(recording, reader, settings, str(config.calibrate))
+    simulated = (Path(config.calibrate) / MANIFEST_NAME).is_file()
+    label = f"{'simulated: ' * simulated}{config.calibrate}"
+    references = make_references(recording, reader, settings, label)
     path = Path(config.references) if config.references else references_beside(weights)
     try:
         references.save(path)
