@@ -61,6 +61,8 @@ def test_with_its_prior_a_frame_says_what_the_module_estimates(
     assert estimator.start is not None
     sample = reader.prepare(frame, T)
     assert len(sample.edges) > 100
+    counted = reader.read(sample)
+    reader.counts_start = False
     evidence = reader.read(sample)
     with torch.inference_mode():
         inputs = make_input(collate([[sample]]), torch.zeros(1, 6), reader.inputs)
@@ -70,6 +72,11 @@ def test_with_its_prior_a_frame_says_what_the_module_estimates(
         expected.mean[0].numpy() / reader.bounds, abs=1e-3
     )
     assert found.std == pytest.approx(expected.std[0].numpy(), rel=1e-3)
+    # As evidence, for windows, it says the same but for the uniform prior that is left in it.
+    assert counted.prior is None
+    assert reader.solve(counted.equations).mean / reader.bounds == pytest.approx(
+        expected.mean[0].numpy() / reader.bounds, abs=0.05
+    )
     # Without it, the weights' own calibration would be of another estimator.
     other = reader.solve(evidence.equations)
     assert np.abs(other.std / expected.std[0].numpy() - 1).max() > 1e-3

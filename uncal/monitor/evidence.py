@@ -87,6 +87,8 @@ class EvidenceReader:
         seed: of the dropout masks.
 
     Attributes:
+        counts_start: whether the evidence holds what each frame's start has found; otherwise it is
+            the prior that goes with it.
         seconds: spent so far in :meth:`prepare` and :meth:`read`.
 
     Raises:
@@ -104,6 +106,7 @@ class EvidenceReader:
         self.inputs: InputSettings = instantiate(self.recipe.model.inputs)
         self.focal_px = focal_of(self.recipe)
         self.bounds: NDArray[np.float64] = self.range.bounds.double().numpy()
+        self.counts_start = True
         self.seconds = {"prepare": 0.0, "read": 0.0}
         self._datasets: dict[tuple[int, int, float], FrameDataset] = {}
 
@@ -222,7 +225,12 @@ class EvidenceReader:
             whole = right + normal @ question.state.pose[0]
             with only_active(self.module.estimator, []):
                 residual = estimator.last.residual(*question.arguments)
-            return pack(normal, whole), float(residual), question.state.prior
+            prior = question.state.prior
+            if prior is not None and self.counts_start:
+                # What the start has found adds up over a window as the rest does.
+                known = _beyond(prior.precision[0], PRIOR / estimator.start_inflation)
+                normal, whole, prior = normal + known, whole + known @ prior.mean[0], None
+            return pack(normal, whole), float(residual), prior
         if isinstance(estimator, EdgeAlignmentEstimator):
             assert question.state is not None
             pose, covariance, _ = question.state
@@ -277,7 +285,11 @@ def averaged(poses: Tensor) -> Tensor:
 def _without_prior(pose: Tensor, covariance: Tensor) -> Tensor:
     """(1, 27) what a search has found beyond the prior, whose mean is zero."""
     information = torch.linalg.inv(covariance[0])
-    right = information @ pose[0]
-    values, vectors = torch.linalg.eigh(information - PRIOR * torch.eye(6).to(pose))
-    normal = (vectors * values.clamp(min=0)) @ vectors.T
-    return pack(normal, right)[None]
+    return pack(_beyond(information, PRIOR), information @ pose[0])[None]
+
+
+def _beyond(information: Tensor, precision: float) -> Tensor:
+    """(6, 6) information without that of a prior of this precision, at least none."""
+    eye = torch.eye(6).to(information)
+    values, vectors = torch.linalg.eigh(information - precision * eye)
+    return (vectors * values.clamp(min=0)) @ vectors.T

@@ -63,6 +63,7 @@ class Monitor:
         )
         self.notes: list[str] = []
         self.references = self._find(references, path, settings)
+        self.reader.counts_start = self.references is not None
         if self.references is None:
             settings = replace(settings, window=1)
             calibrators: list[IntervalCalibrator] = [self._own_calibrator(path)]

@@ -213,6 +213,7 @@ def fingerprint(reader: EvidenceReader, settings: MonitorSettings) -> dict[str, 
         "range": [float(f"{bound:.6g}") for bound in reader.bounds],
         "window": settings.window,
         "forgetting": settings.forgetting,
+        "start": reader.counts_start,
     }
 
 
