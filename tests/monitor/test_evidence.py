@@ -12,9 +12,9 @@ from uncal.assembly import build_module
 from uncal.checkpoint import save_weights
 from uncal.data.dataset import collate
 from uncal.data.network_input import make_input
-from uncal.edges.evidence import pack
-from uncal.models.alignment import AlignmentEstimator
-from uncal.monitor.evidence import EvidenceReader
+from uncal.edges.evidence import pack, unpack
+from uncal.models.alignment import PRIOR, AlignmentEstimator
+from uncal.monitor.evidence import EvidenceReader, _beyond
 from uncal.recordings.frame import Frame, FrameId
 from uncal.settings.shipped import shipped_config
 
@@ -72,14 +72,22 @@ def test_with_its_prior_a_frame_says_what_the_module_estimates(
         expected.mean[0].numpy() / reader.bounds, abs=1e-3
     )
     assert found.std == pytest.approx(expected.std[0].numpy(), rel=1e-3)
-    # As evidence, for windows, it says the same but for the uniform prior that is left in it.
-    assert counted.prior is None
-    assert reader.solve(counted.equations).mean / reader.bounds == pytest.approx(
-        expected.mean[0].numpy() / reader.bounds, abs=0.05
-    )
     # Without it, the weights' own calibration would be of another estimator.
     other = reader.solve(evidence.equations)
-    assert np.abs(other.std / expected.std[0].numpy() - 1).max() > 1e-3
+    # As evidence, for windows: what the start knows beyond the uniform prior, about its own mean.
+    assert counted.prior is None
+    assert evidence.prior is not None
+    known = _beyond(evidence.prior.precision[0], PRIOR / estimator.start_inflation)
+    normal, right = unpack(counted.equations - evidence.equations)
+    scale = float(known.abs().max()) + 1.0
+    assert (normal - known).abs().max() < 1e-3 * scale
+    assert (right - known @ evidence.prior.mean[0]).abs().max() < 1e-3 * scale
+
+
+def test_information_beyond_a_prior_is_never_negative() -> None:
+    information = torch.diag(torch.tensor([5.0, 4.0, 3.0, 2.0, 1.0, 9.0]))
+    expected = torch.diag(torch.tensor([2.0, 1.0, 0.0, 0.0, 0.0, 6.0]))
+    torch.testing.assert_close(_beyond(information, 3.0), expected)
 
 
 def test_a_step_taken_out_is_what_the_rebased_evidence_no_longer_finds(

@@ -292,4 +292,5 @@ def _beyond(information: Tensor, precision: float) -> Tensor:
     """(6, 6) information without that of a prior of this precision, at least none."""
     eye = torch.eye(6).to(information)
     values, vectors = torch.linalg.eigh(information - precision * eye)
-    return (vectors * values.clamp(min=0)) @ vectors.T
+    rest: Tensor = (vectors * values.clamp(min=0)) @ vectors.T
+    return rest
