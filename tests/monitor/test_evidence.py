@@ -74,6 +74,7 @@ def test_with_its_prior_a_frame_says_what_the_module_estimates(
     assert found.std == pytest.approx(expected.std[0].numpy(), rel=1e-3)
     # Without it, the weights' own calibration would be of another estimator.
     other = reader.solve(evidence.equations)
+    assert np.abs(other.std / expected.std[0].numpy() - 1).max() > 1e-3
     # As evidence, for windows: what the start knows beyond the uniform prior, about its own mean.
     assert counted.prior is None
     assert evidence.prior is not None
