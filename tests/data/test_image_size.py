@@ -80,3 +80,16 @@ def test_a_world_point_stays_on_its_feature_at_another_focal_length() -> None:
 def test_an_image_too_small_for_the_focal_length_is_a_skipped_frame() -> None:
     with pytest.raises(FrameError, match=r"370×1226.*dataset\.image_size"):
         fit_focal((370, 1226), 721.5, 460.0, (240, 792))
+
+
+def test_an_image_of_the_wanted_size_is_still_brought_to_the_focal_length() -> None:
+    """Cropped to the size that it had, it shows less: as the camera matrix says."""
+    image = np.zeros((160, 416, 3), np.uint8)
+    image[:, 312:] = 255  # an edge 104.5 px right of the centre
+    K = np.array([[450.0, 0.0, 207.5], [0.0, 450.0, 79.5], [0.0, 0.0, 1.0]])
+    how = fit_focal((160, 416), 450.0, 460.0, (160, 416))
+    shown, K_shown = resize_and_crop(image, K, how, (160, 416))
+    assert shown.shape == image.shape
+    edge = int(np.argmax(shown[80, :, 0] > 127))
+    expected = K_shown[0, 2] + K_shown[0, 0] / 450.0 * (311.5 - 207.5)
+    assert abs(edge - 0.5 - expected) <= 1.0

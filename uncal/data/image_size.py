@@ -150,7 +150,7 @@ def resize_and_crop(
     ((20, 40, 3), [50.0, 0.0, 19.5], [0.0, 50.0, 9.5])
     """
     K = how.camera_matrix(K)
-    if how.source == size:
+    if how.source == how.resized == size:
         return image, K
     (h, w), (height, width) = how.resized, size
     smaller = h * w < how.source[0] * how.source[1]
