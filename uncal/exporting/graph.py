@@ -85,7 +85,9 @@ class AlignmentGraph(nn.Module):
         if module.engine.passes < 2:
             raise ConfigurationError("mcd.passes=1: export needs at least 2 passes")
         self.estimator = estimator
+        self.widest_blur = 0.0
         if estimator.start is not None:
+            self.widest_blur = float(estimator.start.network.blur.max())
             # Drawn now and kept, so that the graph holds them as numbers.
             search = estimator.start.settings
             standard_normals(sum(estimator.start.network.rounds), search.samples, search.seed)
@@ -184,7 +186,7 @@ class AlignmentGraph(nn.Module):
         unit = torch.zeros(1, dtype=torch.int64)
         target = torch.zeros(1, 6)
         batch = NetworkInput(x, x[:, :1], K, T_init, target, unit, [], unit, edges)
-        widest = float(estimator.start.network.blur.max()) * LONGEST_FOCAL * x.shape[-1]
+        widest = self.widest_blur * LONGEST_FOCAL * x.shape[-1]
         blur = partial(blurred_by_shifts, reach=math.ceil(3.0 * widest))
         state = estimator.start.align(batch, Operators(factor, normal_distribution, blur))
         covariance = estimator.start_inflation * state.covariance + LEAST * eye

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import torch
 from hydra.utils import instantiate
-from torch import Tensor, nn
+from torch import Tensor
 
 from uncal.assembly import build_module
 from uncal.checkpoint import load_weights, read_recipe
@@ -65,36 +65,20 @@ def write_graph(
         raise ConfigurationError(
             f"format=onnx needs {' and '.join(missing)}: pip install 'uncal[export]'"
         )
+    if format == "torch_export":
+        raise ConfigurationError(
+            "format=torch_export: not available yet, since the saved program cannot be loaded "
+            "again; use format=onnx"
+        )
     graph, inputs = make_graph(weights, levels, mask_seed)
     out.parent.mkdir(parents=True, exist_ok=True)
     arguments = example(size)
-    with torch.no_grad():
-        if format == "torch_export":
-            number = torch.export.Dim("edges", min=2, max=1_000_000)
-            shapes = (None, {0: number}, None, None)
-            torch.export.save(
-                torch.export.export(_Plain(graph), arguments, dynamic_shapes=shapes), out
-            )
-            return [out]
     to_onnx(graph, arguments, out)
     finder = out.with_name(f"{out.stem}_edges.py")
     bounds = graph.estimator.bounds
     source = edges_source(inputs.edges, float(bounds[3]), float(bounds[0]))
     finder.write_text(source, encoding="utf-8")
     return [out, finder]
-
-
-class _Plain(nn.Module):
-    """A graph whose output is a plain tuple, which a saved program can hold."""
-
-    def __init__(self, graph: AlignmentGraph) -> None:
-        super().__init__()
-        self.graph = graph
-
-    def forward(
-        self, image: Tensor, edges: Tensor, K: Tensor, T_init: Tensor
-    ) -> tuple[Tensor, ...]:
-        return tuple(self.graph(image, edges, K, T_init))
 
 
 def to_onnx(graph: AlignmentGraph, arguments: tuple[Tensor, ...], out: Path) -> None:
