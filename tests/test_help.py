@@ -10,7 +10,7 @@ from unittest.mock import patch
 import pytest
 import yaml  # type: ignore[import-untyped]
 
-from uncal.configuration import CONFIG_DIR
+from uncal.settings.configuration import CONFIG_DIR
 from uncal.settings.help_page import show_help
 
 ENTRY_POINTS = (
@@ -19,7 +19,7 @@ ENTRY_POINTS = (
 )
 HEAVY = (
     *("torch", "lightning", "transformers", "matplotlib", "scipy", "cv2", "pandas", "numpy"),
-    *("joblib", "submitit", "rosbags", "h5py", "uncal.assembly", "uncal.settings.check"),
+    *("joblib", "submitit", "rosbags", "h5py", "uncal.runs.assembly", "uncal.settings.check"),
 )
 
 

@@ -13,7 +13,7 @@ from tensorboard.backend.event_processing.event_accumulator import (  # type: ig
 )
 
 from uncal.geometry import DOF_NAMES
-from uncal.uncertainty.conformal import ConformalCalibrator
+from uncal.uncertainty.conformal.split_conformal import ConformalCalibrator
 
 Run = Callable[..., "subprocess.CompletedProcess[str]"]
 

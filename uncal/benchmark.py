@@ -12,9 +12,9 @@ from hydra import compose
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from uncal.configuration import CONFIG_DIR, exits_on_error, quiet_libraries
 from uncal.errors import ConfigurationError
 from uncal.settings.command_line import quote_arguments
+from uncal.settings.configuration import CONFIG_DIR, exits_on_error, quiet_libraries
 from uncal.settings.help_page import show_help
 
 if TYPE_CHECKING:
@@ -30,14 +30,14 @@ def main(config: DictConfig) -> None:
     # Here and not above: they take seconds, which --help has no use for.
     import torch
 
-    from uncal.assembly import build_module
     from uncal.benchmarking.latency import measure_latency
     from uncal.benchmarking.made_up import made_up
     from uncal.benchmarking.tables import write_latency, write_trade
     from uncal.benchmarking.trade import measure_trade
-    from uncal.memory import keep_freed_memory
     from uncal.models.answer import Estimator
+    from uncal.runs.assembly import build_module
     from uncal.settings.check import check_settings
+    from uncal.system.memory import keep_freed_memory
 
     keep_freed_memory()
     quiet_libraries()
@@ -82,7 +82,7 @@ def pick_device(name: str) -> torch.device:
     """
     import torch
 
-    from uncal.inference_settings import choice
+    from uncal.inference.inference_settings import choice
 
     choice("device", name, ("auto", "cpu", "cuda"))
     if name == "cuda" and not torch.cuda.is_available():

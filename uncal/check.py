@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from uncal.configuration import exits_on_error, quiet_libraries
+from uncal.settings.configuration import exits_on_error, quiet_libraries
 
 DESCRIPTION = """\
 Looks for the usual mistakes in recordings of any supported layout (KITTI raw, KITTI odometry, DSEC,

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 import hydra
 from omegaconf import DictConfig
 
-from uncal.configuration import CONFIG_DIR, exits_on_error, job_folder, quiet_libraries
 from uncal.errors import ConfigurationError, UncalError
 from uncal.settings.command_line import quote_arguments
+from uncal.settings.configuration import CONFIG_DIR, exits_on_error, job_folder, quiet_libraries
 from uncal.settings.help_page import show_help
 
 if TYPE_CHECKING:
@@ -37,11 +37,11 @@ def main(config: DictConfig) -> float:
     # Here and not above: they take seconds, which --help has no use for.
     import lightning
 
-    from uncal.assembly import build_data, build_module, build_trainer, say_simulated
-    from uncal.checkpoint import check_start, last_checkpoint, read_recipe, start_from
-    from uncal.memory import keep_freed_memory
-    from uncal.runs import finished_earlier, make_record, weights_to_report
+    from uncal.runs.assembly import build_data, build_module, build_trainer, say_simulated
+    from uncal.runs.checkpoint import check_start, last_checkpoint, read_recipe, start_from
+    from uncal.runs.weights_to_report import finished_earlier, make_record, weights_to_report
     from uncal.settings.check import check_settings
+    from uncal.system.memory import keep_freed_memory
     from uncal.weights.ingredients import data_ingredients, training_ingredients
     from uncal.weights.kept import stays_trained
     from uncal.weights.obtain import Weights, obtain
@@ -131,8 +131,8 @@ def fit(
     Raises:
         UncalError: interrupted, stopped by an error, or no checkpoint was written.
     """
-    from uncal.checkpoint import save_weights
     from uncal.errors import DivergenceError
+    from uncal.runs.checkpoint import save_weights
     from uncal.weights.kept import how_to_finish
 
     try:
@@ -168,7 +168,7 @@ def fit_or_resume(
     """
     from lightning.pytorch.callbacks import ModelCheckpoint
 
-    from uncal.checkpoint import last_checkpoint
+    from uncal.runs.checkpoint import last_checkpoint
 
     if start is not None:
         for callback in trainer.checkpoint_callbacks:

@@ -5,11 +5,11 @@ import torch
 from torch import Tensor
 
 from uncal.data.network_input import NetworkInput
-from uncal.decalibration import DecalibrationRange, decalibrate
 from uncal.edges.image import blurred
 from uncal.edges.sweep import COLUMNS, KIND, STRENGTH
 from uncal.errors import ConfigurationError, UncalError
 from uncal.geometry import invert, transform_points
+from uncal.geometry.decalibration import DecalibrationRange, decalibrate
 from uncal.models.answer import Answer
 from uncal.models.edge_alignment import EdgeAlignment, EdgeAlignmentEstimator, score
 from uncal.models.pose_search import SearchSettings

@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 from omegaconf import DictConfig, OmegaConf
 
-from uncal.configuration import CONFIG_DIR
 from uncal.errors import ConfigurationError
 from uncal.settings.bounds import BOUNDS
 from uncal.settings.check import refuse_removed, refuse_values
+from uncal.settings.configuration import CONFIG_DIR
 
 Configured = Callable[..., tuple[DictConfig, DictConfig]]
 

@@ -9,8 +9,8 @@ import torch
 from lightning import LightningModule, Trainer
 from torch import Tensor
 
-from uncal.checkpoint import last_checkpoint
 from uncal.errors import DivergenceError
+from uncal.runs.checkpoint import last_checkpoint
 
 
 class StopAtDivergence(lightning.Callback):

@@ -18,10 +18,10 @@ from uncal.checking.finding import DriveReport, Finding
 from uncal.checking.layouts import Drive, find_layout
 from uncal.errors import FrameError, RecordingError
 from uncal.events.pixel_map import PixelMap
-from uncal.progress import watched
-from uncal.projection import project
+from uncal.geometry.projection import project
 from uncal.recordings.frame import Frame, FrameId, Recording
 from uncal.reporting.overlay import draw_events, overlay_panel
+from uncal.system.progress import watched
 
 log = logging.getLogger(__name__)
 

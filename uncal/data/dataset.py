@@ -13,14 +13,14 @@ from torch.utils.data import Dataset
 
 from uncal.data.culling import frustum_mask
 from uncal.data.image_size import Fit, fit, fit_focal, resize_and_crop
-from uncal.data.windows import Unit
-from uncal.decalibration import DecalibrationRange
 from uncal.edges.selection import select_edges
 from uncal.edges.sweep import COLUMNS, find_edges
 from uncal.errors import FrameError
 from uncal.events.representations import EventRepresentation
+from uncal.geometry.decalibration import DecalibrationRange
 from uncal.recordings.frame import Frame, FrameId, Recording
 from uncal.recordings.motion import untwisted
+from uncal.splits.windows import Unit
 
 _LARGEST = torch.finfo(torch.float16).max
 

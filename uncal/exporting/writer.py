@@ -12,14 +12,14 @@ import torch
 from hydra.utils import instantiate
 from torch import Tensor
 
-from uncal.assembly import build_module
-from uncal.checkpoint import load_weights, read_recipe
 from uncal.data.network_input import InputSettings
 from uncal.edges.sweep import COLUMNS
 from uncal.errors import ConfigurationError
 from uncal.exporting.edges_file import edges_source
 from uncal.exporting.graph import INPUTS, OUTPUTS, AlignmentGraph
-from uncal.uncertainty.masks import FixedMasks
+from uncal.runs.assembly import build_module
+from uncal.runs.checkpoint import load_weights, read_recipe
+from uncal.uncertainty.dropout.masks import FixedMasks
 
 log = logging.getLogger(__name__)
 

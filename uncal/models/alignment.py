@@ -10,8 +10,6 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from uncal.data.network_input import NetworkInput
-from uncal.decalibration import correct, decalibrate
-from uncal.displacement import true_displacement
 from uncal.edges.evidence import (
     ProjectedEdges,
     gaussian_factors,
@@ -22,6 +20,8 @@ from uncal.edges.evidence import (
     unpack,
 )
 from uncal.errors import ConfigurationError
+from uncal.geometry.decalibration import correct, decalibrate
+from uncal.geometry.displacement import true_displacement
 from uncal.models.answer import Answer, Prior, Question, State
 from uncal.models.edge_alignment import EdgeAlignmentEstimator
 from uncal.models.evidence import STRIDES, EvidenceNetwork
@@ -209,7 +209,7 @@ class AlignmentEstimator(nn.Module):
     from afar; on images unlike those of the training the rounds lose theirs.
 
     Frames of a window share one decalibration, so that their normal equations are added before they
-    are solved (:mod:`uncal.data.windows`).
+    are solved (:mod:`uncal.splits.windows`).
 
     Args:
         network: gives the curves.

@@ -11,12 +11,12 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from uncal.data.network_input import NetworkInput
-from uncal.decalibration import correct
 from uncal.edges.evidence import NEAREST_M
 from uncal.edges.image import IMAGE_EDGES, blurred, edge_maps
 from uncal.edges.sweep import KIND, KINDS, N_ACROSS, STRENGTH
 from uncal.errors import ConfigurationError, UncalError
 from uncal.geometry import transform_points
+from uncal.geometry.decalibration import correct
 from uncal.models.answer import Answer, Question, State
 from uncal.models.pose_search import LogLikelihood, Operator, SearchSettings, search
 

@@ -10,10 +10,10 @@ import yaml  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 
 from uncal.errors import ConfigurationError, RecordingError
-from uncal.progress import watched
 from uncal.recordings.bag_stream import BagStream
 from uncal.recordings.plain_calibration import FILE, parse_transform, read_rig
 from uncal.recordings.plain_folder import STAMPS
+from uncal.system.progress import watched
 
 _KNOWN = 1e-6
 """Difference of calibrations that rounding explains."""
