@@ -109,7 +109,7 @@ def test_refusals(configured: Configured, words: list[str], said: str) -> None:
 @pytest.mark.parametrize(
     ("choices", "words"),
     [
-        ([], ["callbacks.overlays=null", "logger=null", "store=null"]),
+        ([], ["callbacks.overlays=null", "logger=null", "store=null", "model.start=null"]),
         ([], ["trainer.gradient_clip_val=null", "trainer.devices=auto", "trainer.precision=16"]),
         ([], ["split.test=unseen", "split.fractions=[0.7,0.15,0.15,0.0]", "trainer.devices=[0]"]),
         ([], ["mcd.insert={after: [Linear], p: 0.1}", "mcd.chunk=null", "mcd.layers=[head]"]),

@@ -195,7 +195,7 @@ class FrameDataset(Dataset[Item]):
         camera, K = self._camera(frame)
         points = frame.points
         if frame.twist is not None:
-            points = untwisted(points, frame.twist)
+            points = untwisted(points, frame.twist, frame.spin)
         near = frustum_mask(
             points[:, :3],
             frame.T_cam_lidar,
@@ -222,7 +222,7 @@ class FrameDataset(Dataset[Item]):
         # Neighbours are neighbours in the sweep as it was measured.
         edges = find_edges(frame.points)
         if frame.twist is not None:
-            edges = untwisted(edges, frame.twist)
+            edges = untwisted(edges, frame.twist, frame.spin)
         near = frustum_mask(
             edges[:, :3],
             frame.T_cam_lidar,

@@ -17,6 +17,9 @@ from uncal.settings.readers import Tree, refuse_unread
 from uncal.settings.rules import Listed, Number, Rule, like
 from uncal.settings.shipped import shipped_for_this_job
 
+MAY_GO = ("logger", "model.start")
+"""Groups without which a run goes on."""
+
 NEEDED: Mapping[str, str] = {
     "callbacks.report": "the run has no result without it",
     "callbacks.uncertainty": "the intervals have no uncertainty calibration without it",
@@ -147,11 +150,11 @@ def _may_be_null(
 ) -> bool:
     group, _, name = key.rpartition(".")
     if isinstance(default, dict):
-        # One of several groups by name, such as callbacks; or the logger.
+        # One of several groups by name, such as callbacks.
         beside = [v for k, v in defaults.items() if k.rpartition(".")[0] == group]
         named = bool(group) and all(isinstance(value, dict) for value in beside)
         holds_named = bool(default) and all(isinstance(v, dict) for v in default.values())
-        return key not in NEEDED and (named or key == "logger" or (holds_named and not _needs(key)))
+        return key not in NEEDED and (named or key in MAY_GO or (holds_named and not _needs(key)))
     rule = bounds_of(key)
     if rule is not None:
         return rule.holds(None)
