@@ -205,10 +205,10 @@ def test_a_training_that_diverges_ends_at_that_step_and_not_with_a_table(
     words = [*tiny, *quick, "trainer.max_epochs=30", "model.optimization.optimizer.lr=1e6"]
     finished = start("uncal.train", *words, "hydra.run.dir=run", cwd=place)
     assert finished.returncode == 1
-    assert re.search(
-        r"diverges: the loss is (nan|-?inf) at step \d+ \(epoch \d+ of 30\)", finished.stderr
-    )
-    assert "learning rate " in finished.stderr
+    # The solver may meet such numbers before the loss is one.
+    what = r"the loss is (nan|-?inf)|the normal equations are not finite"
+    where = rf"diverges: ({what}) at step \d+ \(epoch \d+ of 30\), learning rate [\d.e+]+ there"
+    assert re.search(where, finished.stderr)
     last = place / "run" / "checkpoints" / "last.ckpt"
     if last.is_file():
         assert f"The last good checkpoint is {last}" in finished.stderr

@@ -129,8 +129,11 @@ def fit(
     """Train, from nothing or from a checkpoint.
 
     Raises:
-        UncalError: interrupted, stopped by an error, or no checkpoint was written.
+        UncalError: interrupted, diverged, stopped by an error, or no checkpoint was written.
     """
+    import torch
+
+    from uncal.callbacks.divergence import diverged
     from uncal.checkpoint import save_weights
     from uncal.errors import DivergenceError
     from uncal.weights.kept import how_to_finish
@@ -139,6 +142,9 @@ def fit(
         trainer.fit(module, datamodule=data, ckpt_path=start)
     except DivergenceError:
         raise
+    except torch.linalg.LinAlgError as error:
+        # Before a loss is NaN: the solver adds a prior, so that only such numbers stop it.
+        raise diverged(trainer, "the normal equations are not finite") from error
     except UncalError as error:
         if trainer.global_step == 0 or not trainer.is_global_zero:
             raise
