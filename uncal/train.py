@@ -156,9 +156,17 @@ def fit(
             f"interrupted; go on after the last finished epoch with {continuation}"
         ) from stop
     path = getattr(trainer.checkpoint_callback, "best_model_path", "")
-    if not path:
-        raise UncalError("no checkpoint was written: keep callbacks.checkpoint and a validation")
-    return Path(str(path))
+    if path:
+        return Path(str(path))
+    if trainer.global_step == 0:
+        raise UncalError("not one step of training: none of its frames can be read")
+    kept = job_folder() / "checkpoints" / "stopped.ckpt"
+    if trainer.is_global_zero:
+        save_weights(module, kept)
+    raise UncalError(
+        "the training ended before its first validation (trainer.max_steps, trainer.max_time), so "
+        f"that no epoch is known to be the best.\n{how_to_finish(kept)}"
+    )
 
 
 def fit_or_resume(
