@@ -98,7 +98,7 @@ def verdict(**changes: Any) -> Verdict:  # noqa: ANN401  # any field of it
     zero, line = np.zeros(6), np.full(6, np.inf)
     given = {
         **{"frame": "", "time": 0.0, "correction": zero, "lower": -line, "upper": line},
-        **{"joint_lower": -line, "joint_upper": line, "verdict": "ok", "reason": ""},
+        **{"sigma": zero, "joint_lower": -line, "joint_upper": line, "verdict": "ok", "reason": ""},
         **{"extrinsic": np.eye(4), "updated": False, "frames": 2, "wealth": 1.0},
     }
     return Verdict(**{**given, **changes})

@@ -18,7 +18,7 @@ from uncal.asked import focal_of
 from uncal.assembly import build_module
 from uncal.checkpoint import load_weights, read_recipe
 from uncal.data.dataset import FrameDataset, Sample, collate
-from uncal.data.image_size import size_at_focal
+from uncal.data.image_size import Fit, size_at_focal
 from uncal.data.network_input import InputSettings, NetworkInput, make_input
 from uncal.decalibration import DecalibrationRange
 from uncal.edges.evidence import pack, unpack
@@ -90,6 +90,7 @@ class EvidenceReader:
         counts_start: whether the evidence holds what each frame's start has found; otherwise it is
             the prior that goes with it.
         seconds: spent so far in :meth:`prepare` and :meth:`read`.
+        sample: of the last frame whose evidence was asked for; for pictures.
 
     Raises:
         ConfigurationError: no such weights.
@@ -108,6 +109,7 @@ class EvidenceReader:
         self.bounds: NDArray[np.float64] = self.range.bounds.double().numpy()
         self.counts_start = True
         self.seconds = {"prepare": 0.0, "read": 0.0}
+        self.sample: Sample | None = None
         self._datasets: dict[tuple[int, int, float], FrameDataset] = {}
 
     def evidence(
@@ -125,7 +127,8 @@ class EvidenceReader:
                 no edge lies in it.
         """
         begin = time.perf_counter()
-        sample = self.prepare(frame, T_assumed)
+        self.sample = None
+        self.sample = sample = self.prepare(frame, T_assumed)
         prepared = time.perf_counter()
         self.seconds["prepare"] += prepared - begin
         if self._reads_edges and len(sample.edges) < limits.min_edges:
@@ -199,6 +202,18 @@ class EvidenceReader:
         normal, right = unpack(equations)
         s = torch.from_numpy(step / self.bounds).to(equations)
         return pack(normal, right - normal @ s)
+
+    def fit(self, frame: Frame) -> Fit:
+        """How a frame's image, or its events, come to the network's size.
+
+        Args:
+            frame: of the camera that is watched.
+        """
+        source = frame.image.shape[:2] if frame.image is not None else None
+        if source is None:
+            assert frame.events is not None
+            source = frame.events.size
+        return self._dataset(frame).fit((source[0], source[1]), frame.K)
 
     @property
     def _estimator(self) -> Estimator:

@@ -210,13 +210,14 @@ class Monitor:
         return calibrator
 
     def _say(self, name: str, time: float, doubts: list[str], reference: Vector | None) -> Verdict:
-        interval = Interval.unknown()
+        interval, sigma = Interval.unknown(), np.full(6, np.inf)
         n = len(self.window)
         if n > 0:
             # The weights' own calibration is of what the module estimates, prior included.
             prior = None if self.references else self.window.entries[-1].evidence.prior
             estimate = self.reader.solve(self.window.total(), prior)
-            interval = Interval.around(estimate.mean, estimate.std, self.quantiles.of(n))
+            sigma = estimate.std
+            interval = Interval.around(estimate.mean, sigma, self.quantiles.of(n))
             self._watch(estimate)
             if reference is not None:
                 self._learn(estimate, n, reference)
@@ -238,6 +239,7 @@ class Monitor:
             correction=interval.correction,
             lower=interval.lower,
             upper=interval.upper,
+            sigma=sigma,
             joint_lower=interval.joint_lower,
             joint_upper=interval.joint_upper,
             verdict=verdict,
