@@ -14,7 +14,8 @@ from uncal.data.dataset import collate
 from uncal.data.network_input import make_input
 from uncal.edges.evidence import pack, unpack
 from uncal.models.alignment import PRIOR, AlignmentEstimator
-from uncal.monitor.evidence import EvidenceReader, _beyond
+from uncal.monitor.equations import beyond
+from uncal.monitor.evidence import EvidenceReader
 from uncal.recordings.frame import Frame, FrameId
 from uncal.settings.shipped import shipped_config
 
@@ -78,7 +79,7 @@ def test_with_its_prior_a_frame_says_what_the_module_estimates(
     # As evidence, for windows: what the start knows beyond the uniform prior, about its own mean.
     assert counted.prior is None
     assert evidence.prior is not None
-    known = _beyond(evidence.prior.precision[0], PRIOR / estimator.start_inflation)
+    known = beyond(evidence.prior.precision[0], PRIOR / estimator.start_inflation)
     normal, right = unpack(counted.equations - evidence.equations)
     scale = float(known.abs().max()) + 1.0
     assert (normal - known).abs().max() < 1e-3 * scale
@@ -88,7 +89,7 @@ def test_with_its_prior_a_frame_says_what_the_module_estimates(
 def test_information_beyond_a_prior_is_never_negative() -> None:
     information = torch.diag(torch.tensor([5.0, 4.0, 3.0, 2.0, 1.0, 9.0]))
     expected = torch.diag(torch.tensor([2.0, 1.0, 0.0, 0.0, 0.0, 6.0]))
-    torch.testing.assert_close(_beyond(information, 3.0), expected)
+    torch.testing.assert_close(beyond(information, 3.0), expected)
 
 
 def test_a_step_taken_out_is_what_the_rebased_evidence_no_longer_finds(

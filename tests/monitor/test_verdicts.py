@@ -29,13 +29,14 @@ def said(
     correction: Sequence[float], sigma: float = 1.0, doubts: list[str] | None = None
 ) -> tuple[str, str]:
     interval = Interval.around(np.array(correction), sigma * SIGMA, np.array([2.0] * 6 + [3.0]))
-    return decide(interval, SETTINGS.limits, 0.9, doubts or [], 8, 8)
+    return decide(interval, SETTINGS.limits, interval, SETTINGS.drift, doubts or [], 8, 8)
 
 
 @pytest.mark.parametrize(
     ("correction", "sigma", "verdict", "word"),
     [
-        ([0.01, 0, 0, 0, 0, 0], 1.0, "ok", "zero lies"),
+        ([0.01, 0, 0, 0, 0, 0], 1.0, "ok", "holds zero"),
+        ([0.018, 0, 0, 0, 0, 0], 1.0, "ok", "next to it"),
         ([0, 0.03, 0, 0, 0, 0], 1.0, "drifting", "Y is off by 3.0 cm"),
         ([0, 0, 0, 0, math.radians(-0.9), 0], 1.0, "recalibrate", "Pitch is off by -0.90°"),
         ([0, 0, 0, 0, 0, 0], 12.0, "recalibrate", "wide"),

@@ -129,16 +129,21 @@ def score(strength: Tensor, edges: Tensor, weights: Tensor, K: Tensor, T: Tensor
     height, width = strength.shape[-2:]
     # One above the other, a row of zeros around each: one look-up serves both directions.
     tall = F.pad(strength, (0, 0, 1, 1)).flatten(1, 2)[:, None]
-    # All poses' rows in one matrix: nothing is copied once per pose.
-    turned = T[..., :3, :3].flatten(1, 2) @ edges[..., :3].transpose(1, 2)
-    x, y, z = (turned.view(len(turned), -1, 3, turned.shape[-1]) + T[..., :3, 3:]).unbind(2)
-    z = z.clamp(min=NEAREST_M)
-    column = x / z * K[:, 0, 0, None, None] + K[:, 0, 2, None, None]
-    row = y / z * K[:, 1, 1, None, None] + K[:, 1, 2, None, None]
+    # Camera and grid in one matrix, all poses' rows below each other: what is done for each edge
+    # under each pose costs most of a search. grid_sample's borders are the outer edges of the
+    # outermost pixels, and its whole height is two images and four rows of zeros.
+    zero, one = torch.zeros_like(K[:, 0, 0]), torch.ones_like(K[:, 0, 0])
+    half = height + 2
+    column = torch.stack([2 * K[:, 0, 0], zero, 2 * K[:, 0, 2] + 1 - width], -1) / width
+    row = torch.stack([zero, K[:, 1, 1], K[:, 1, 2] + 1.5 - half], -1) / half
+    camera = torch.stack([column, row, torch.stack([zero, zero, one], -1)], 1)
+    matrices = (camera[:, None] @ T[..., :3, :]).flatten(1, 2)
+    placed = matrices @ F.pad(edges[..., :3], (0, 1), value=1.0).transpose(1, 2)
+    x, y, z = placed.view(len(placed), -1, 3, placed.shape[-1]).unbind(2)
+    nearness = z.clamp(min=NEAREST_M).reciprocal()
     along = (edges[..., KIND] >= N_ACROSS).to(row.dtype)[:, None]
-    row = row.clamp(-1.0, height) + 1.0 + along * (height + 2)
-    # grid_sample's borders are the outer edges of the outermost pixels.
-    grid = torch.stack([(2 * column + 1) / width - 1, (row + 0.5) / (height + 2) - 1], -1)
+    y = (y * nearness).clamp(0.5 / half - 1.0, (height + 1.5) / half - 1.0) + along
+    grid = torch.stack([x * nearness, y], -1)
     found = F.grid_sample(tall, grid, mode="bilinear", padding_mode="zeros", align_corners=False)
     return (found[:, 0] @ weights[..., None]).squeeze(-1)
 

@@ -26,9 +26,11 @@ def main(config: DictConfig) -> None:
         config: conf/monitor.yaml with the command line's overrides.
     """
     # Here and not above: they take seconds, which --help has no use for.
+    from uncal.memory import keep_freed_memory
     from uncal.monitor.run import calibrate, chosen, watch
     from uncal.settings.check import check_settings
 
+    keep_freed_memory()
     quiet_libraries()
     check_settings(config)
     task = calibrate if chosen(config) == "calibrate" else watch

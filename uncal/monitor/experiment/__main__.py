@@ -22,10 +22,12 @@ def main(config: DictConfig) -> None:
         config: conf/monitor.yaml with the command line's overrides.
     """
     # Here and not above: they take seconds, which --help has no use for.
+    from uncal.memory import keep_freed_memory
     from uncal.monitor.experiment.run import run_experiment
     from uncal.reporting.run_record import command_line
     from uncal.settings.check import check_settings
 
+    keep_freed_memory()
     quiet_libraries()
     check_settings(config)
     hydra_config = HydraConfig.get()

@@ -19,6 +19,7 @@ from uncal.recordings.kitti import KittiRaw
 from uncal.simulation.cache import ensure_simulated
 from uncal.simulation.faults import Fault
 from uncal.simulation.motion import read_truth
+from uncal.simulation.moved import ensure_moved
 from uncal.simulation.settings import MotionSettings, SimulationSettings
 
 STILL, STEP, FAULT, BLIND = "still", "step", "fault", "blind"
@@ -130,7 +131,12 @@ class ExperimentSettings:
         n = case.drives if moving else self.drives[STILL]
         settings = replace(self.simulation, n_rigs=n, motion=case.motion)
         root = Path(self.root) / (case.name if moving else STILL)
-        ensure_simulated(settings, root, self.workers)
+        if moving:
+            rest = replace(self.simulation, n_rigs=self.drives[STILL])
+            still = ensure_simulated(rest, Path(self.root) / STILL, self.workers)
+            ensure_moved(settings, still, root)
+        else:
+            ensure_simulated(settings, root, self.workers)
         recording = KittiRaw(root)
         places = dict.fromkeys((frame_id.rig, frame_id.drive) for frame_id in recording.frame_ids)
         for rig, drive in list(places)[: case.drives]:
