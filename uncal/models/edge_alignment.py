@@ -127,25 +127,21 @@ def score(strength: Tensor, edges: Tensor, weights: Tensor, K: Tensor, T: Tensor
         (B, P).
     """
     height, width = strength.shape[-2:]
-    # One above the other, a row of zeros around each: one look-up serves both directions.
-    tall = F.pad(strength, (0, 0, 1, 1)).flatten(1, 2)[:, None]
-    # Camera and grid in one matrix, all poses' rows below each other: what is done for each edge
-    # under each pose costs most of a search. grid_sample's borders are the outer edges of the
-    # outermost pixels, and its whole height is two images and four rows of zeros.
+    # Camera and grid in one matrix, since what is done for each edge under each pose costs most of
+    # a search. grid_sample's borders are the outer edges of the outermost pixels.
     zero, one = torch.zeros_like(K[:, 0, 0]), torch.ones_like(K[:, 0, 0])
-    half = height + 2
     column = torch.stack([2 * K[:, 0, 0], zero, 2 * K[:, 0, 2] + 1 - width], -1) / width
-    row = torch.stack([zero, K[:, 1, 1], K[:, 1, 2] + 1.5 - half], -1) / half
+    row = torch.stack([zero, 2 * K[:, 1, 1], 2 * K[:, 1, 2] + 1 - height], -1) / height
     camera = torch.stack([column, row, torch.stack([zero, zero, one], -1)], 1)
-    matrices = (camera[:, None] @ T[..., :3, :]).flatten(1, 2)
-    placed = matrices @ F.pad(edges[..., :3], (0, 1), value=1.0).transpose(1, 2)
-    x, y, z = placed.view(len(placed), -1, 3, placed.shape[-1]).unbind(2)
-    nearness = z.clamp(min=NEAREST_M).reciprocal()
-    along = (edges[..., KIND] >= N_ACROSS).to(row.dtype)[:, None]
-    y = (y * nearness).clamp(0.5 / half - 1.0, (height + 1.5) / half - 1.0) + along
-    grid = torch.stack([x * nearness, y], -1)
-    found = F.grid_sample(tall, grid, mode="bilinear", padding_mode="zeros", align_corners=False)
-    return (found[:, 0] @ weights[..., None]).squeeze(-1)
+    matrices = camera[:, None] @ T[..., :3, :]
+    homogeneous = F.pad(edges[..., :3], (0, 1), value=1.0)
+    places = homogeneous @ matrices[:, :, :2].flatten(1, 2).transpose(1, 2)
+    depth = (homogeneous @ matrices[:, :, 2].transpose(1, 2)).clamp(min=NEAREST_M)
+    grid = places.unflatten(2, (-1, 2)) * depth.reciprocal()[..., None]
+    found = F.grid_sample(strength, grid, padding_mode="zeros", align_corners=False)
+    along = (edges[..., KIND] >= N_ACROSS).to(weights.dtype)
+    of_directions = torch.stack([weights * (1.0 - along), weights * along], 1)
+    return (of_directions[:, :, None] @ found).squeeze(2).sum(1)
 
 
 class Operators(NamedTuple):

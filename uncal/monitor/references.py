@@ -52,7 +52,7 @@ class References:
         std: (m, W, 6) σ.
         frames: (m, W, K) :data:`uncal.monitor.statistics.STATISTICS` of the frames.
         windows: (m, K') :data:`uncal.monitor.statistics.WINDOWED` of the full windows.
-        jumps: (m,) largest contradiction within each window, :meth:`uncal.monitor.window.Window.jump`.
+        jumps: (m,) largest :meth:`~uncal.monitor.window.Window.jump` within each window.
     """
 
     made_with: dict[str, object]
