@@ -150,17 +150,14 @@ def decalibration_of(T_assumed: Vector, T_true: Vector) -> Vector:
     return np.asarray(matrix_to_pose(D).numpy() + 0.0)
 
 
-def exchanged(drives: list[Drive]) -> Iterator[tuple[Drive, list[Frame]]]:
-    """Every drive with the images of the next one: what no camera can have helped with.
+def exchanged(drive: Drive, other: Drive) -> list[Frame]:
+    """A drive with the images of another one: what no camera can have helped with.
 
     Args:
-        drives: at least two, equally long.
+        drive: that is to be watched.
+        other: as long.
     """
-    for drive, other in zip(drives, drives[1:] + drives[:1], strict=True):
-        yield (
-            drive,
-            [
-                replace(frame, image=elsewhere.image, events=elsewhere.events)
-                for frame, elsewhere in zip(drive.frames, other.frames, strict=True)
-            ],
-        )
+    return [
+        replace(frame, image=elsewhere.image, events=elsewhere.events)
+        for frame, elsewhere in zip(drive.frames, other.frames, strict=True)
+    ]
