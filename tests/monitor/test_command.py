@@ -6,12 +6,14 @@ import csv
 import json
 import shutil
 import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import cast
 
 import numpy as np
 import pytest
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from uncal.monitor.run_folder import COLUMNS
 from uncal.monitor.verdict import VERDICTS
@@ -48,7 +50,7 @@ def test_every_frame_gets_a_verdict_and_a_run_goes_on_where_it_was(
     spoilt = source / "2041_01_02" / DRIVES[1] / "velodyne_points" / "data" / "0000000001.bin"
     spoilt.write_bytes(b"123")
     whole, pieces = tmp_path / "whole", tmp_path / "pieces"
-    done = watch(start, source, references, whole, DRIVES, *settings)
+    done = watch(start, source, references, whole, DRIVES, "overlays=4", *settings)
     assert done.returncode == 0, done.stderr
     assert "12 frames: " in done.stdout
     assert "frames a second" in done.stdout
@@ -66,6 +68,15 @@ def test_every_frame_gets_a_verdict_and_a_run_goes_on_where_it_was(
     assert list(table[0]) == list(COLUMNS)
     wanted = 100 * cast("list[float]", said[0]["correction"])[0]
     assert np.isclose(float(table[0]["correction_x"]), wanted, atol=1e-3)
+
+    events = EventAccumulator(str(whole / "tensorboard")).Reload()
+    curve = [event.value for event in events.Scalars("correction/X")]
+    assert len(curve) == 12
+    assert np.isclose(curve[0], wanted, atol=1e-3)
+    assert {"lower/Yaw", "upper/Roll", "sigma/Z", "verdict"} <= set(events.Tags()["scalars"])
+    drawn = sorted(path.name for path in (whole / "overlays").iterdir())
+    assert len(drawn) == 3
+    assert drawn[0] == f"2041_01_01_{DRIVES[0]}_0000000000.png"
 
     assert watch(start, source, references, pieces, DRIVES[:1], *settings).returncode == 0
     assert len(lines(pieces)) == 4
@@ -109,3 +120,29 @@ def test_references_of_another_window_are_refused(
     )
     assert done.returncode != 0
     assert "window: 2, here 3" in done.stderr
+
+
+def test_a_recording_for_the_viewer(
+    recorded: Path, references: Path, settings: tuple[str, ...], tmp_path: Path, start: Run
+) -> None:
+    pytest.importorskip("rerun", reason="the rerun SDK is not installed (uncal[rerun])")
+    words = ("rerun=true", "tensorboard=false", *settings)
+    done = watch(start, recorded, references, tmp_path / "run", DRIVES[:1], *words)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "run" / "monitor.rrd").read_bytes().startswith(b"RRF2")
+    assert not (tmp_path / "run" / "tensorboard").exists()
+
+
+def test_without_the_viewer_a_recording_is_refused(
+    recorded: Path,
+    references: Path,
+    settings: tuple[str, ...],
+    tmp_path: Path,
+    start: Run,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setitem(sys.modules, "rerun", None)
+    words = ("rerun=true", *settings)
+    done = watch(start, recorded, references, tmp_path / "run", DRIVES[:1], *words)
+    assert done.returncode != 0
+    assert "pip install 'uncal[rerun]'" in done.stderr

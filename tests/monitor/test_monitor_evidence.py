@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from torch import nn
 
 from uncal.assembly import build_module
 from uncal.checkpoint import save_weights
@@ -84,6 +87,39 @@ def test_with_its_prior_a_frame_says_what_the_module_estimates(
     scale = float(known.abs().max()) + 1.0
     assert (normal - known).abs().max() < 1e-3 * scale
     assert (right - known @ evidence.prior.mean[0]).abs().max() < 1e-3 * scale
+
+
+def test_what_is_shared_is_what_would_be_computed_again(
+    reader: EvidenceReader, frame: Frame, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    estimator = reader.module.estimator
+    assert isinstance(estimator, AlignmentEstimator)
+    network, start = estimator.last.network, estimator.start
+    assert start is not None
+    counts: Counter[str] = Counter()
+
+    def counted(owner: nn.Module, name: str) -> None:
+        function = getattr(owner, name)
+
+        def call(*args: object) -> object:
+            counts[name] += 1
+            return function(*args)
+
+        monkeypatch.setattr(owner, name, call)
+
+    counted(network, "describe")
+    counted(start, "align")
+    sample = reader.prepare(frame, T)
+    reader.read(sample)  # the first one tries strategies
+    counts.clear()
+    shared = reader.read(sample)
+    assert counts == {"describe": 1, "align": 1}
+    counts.clear()
+    monkeypatch.setattr("uncal.monitor.equations.computed_once", lambda _: nullcontext())
+    again = reader.read(sample)
+    assert counts == {"describe": 3, "align": 2}
+    assert torch.equal(shared.equations, again.equations)
+    np.testing.assert_array_equal(shared.statistics, again.statistics)
 
 
 def test_information_beyond_a_prior_is_never_negative() -> None:
