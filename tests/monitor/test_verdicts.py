@@ -48,6 +48,17 @@ def test_verdicts(correction: list[float], sigma: float, verdict: str, word: str
     assert word in reason
 
 
+def test_a_drift_is_one_before_the_window_is_full() -> None:
+    interval = Interval.around(
+        np.array([0.07, 0, 0, 0, 0, 0]), 12 * SIGMA * [0.1, 1, 1, 1, 1, 1], np.full(7, 2.0)
+    )
+    found = [
+        decide(interval, SETTINGS.limits, interval, SETTINGS.drift, [], frames, 8)[0]
+        for frames in (2, 8)
+    ]
+    assert found == ["drifting", "recalibrate"]
+
+
 def test_doubts_come_first() -> None:
     assert said([1.0] * 6, doubts=["the camera is dark"]) == ("untrusted", "the camera is dark")
 

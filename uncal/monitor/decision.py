@@ -95,7 +95,9 @@ def decide(
             f"{_shown(limits.correction[j], j)}"
         )
     width = interval.upper - interval.lower
-    if (width > limits.width).any():
+    away = drift.beyond(settings.least)
+    # A window that is still filling is wide; a drift is one all the same.
+    if (width > limits.width).any() and not (frames < window and away.any()):
         j = _worst(width / limits.width)
         wide = (
             f"the interval of {DOF_NAMES[j]} is {_shown(width[j], j)} wide, more than "
@@ -105,7 +107,6 @@ def decide(
             return UNTRUSTED, f"{frames} of {window} frames so far: {wide}"
         return RECALIBRATE, wide
     level = f"joint {100 * settings.level:g} % region"
-    away = drift.beyond(settings.least)
     if away.any():
         gap = np.maximum(drift.joint_lower, -drift.joint_upper)
         j = _worst(np.where(away, gap / limits.correction, -math.inf))

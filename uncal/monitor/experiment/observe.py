@@ -17,7 +17,7 @@ from uncal.monitor.evidence import Evidence, EvidenceReader
 from uncal.monitor.experiment.cases import Case, Drive
 from uncal.monitor.extrinsic import after_step
 from uncal.monitor.monitor import Monitor
-from uncal.monitor.verdict import UNTRUSTED, Verdict
+from uncal.monitor.verdict import DRIFTING, RECALIBRATE, UNTRUSTED, Verdict
 from uncal.recordings.frame import Frame
 
 Vector = NDArray[np.float64]
@@ -136,8 +136,8 @@ def says_moved(said: Verdict, limit: Vector) -> bool:
         said: of one frame.
         limit: (6,) largest correction.
     """
-    away = (said.joint_lower > 0) | (said.joint_upper < 0)
-    return said.verdict != UNTRUSTED and bool(away.any() or (np.abs(said.correction) > limit).any())
+    beyond = bool((np.abs(said.correction) > limit).any())
+    return said.verdict == DRIFTING or (said.verdict == RECALIBRATE and beyond)
 
 
 def decalibration_of(T_assumed: Vector, T_true: Vector) -> Vector:
