@@ -116,7 +116,7 @@ def watch(config: DictConfig, folder: Path) -> str:
     }
     with (
         RunFolder(folder, monitor, about) as run,
-        View(monitor, source.root) as view,
+        View(monitor) as view,
         ExitStack() as stack,
     ):
         if run.resumed:

@@ -41,10 +41,14 @@ def computed_once(estimator: AlignmentEstimator) -> Iterator[None]:
     """
     last = estimator.last
     parts = [(estimator, "begin"), (last.network, "describe"), (last.look, "forward")]
+    before = [vars(owner).get(name) for owner, name in parts]
     for owner, name in parts:
         vars(owner)[name] = _Last(getattr(owner, name))
     try:
         yield
     finally:
-        for owner, name in parts:
-            del vars(owner)[name]
+        for (owner, name), own in zip(parts, before, strict=True):
+            if own is None:
+                del vars(owner)[name]
+            else:
+                vars(owner)[name] = own

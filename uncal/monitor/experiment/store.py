@@ -84,5 +84,4 @@ def read_rows(path: Path) -> pd.DataFrame:
         keep_default_na=False,
         na_values={name: [""] for name in _NUMBERS},
         dtype={"dof": str, "drive": str},
-        float_precision="round_trip",
     )
