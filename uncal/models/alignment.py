@@ -249,7 +249,7 @@ class AlignmentEstimator(nn.Module):
         rounds: Sequence[int],
         learning: LearningSettings,
         start: EdgeAlignmentEstimator | None = None,
-        start_inflation: float = 4.0,
+        start_inflation: float = 16.0,
     ) -> None:
         super().__init__()
         if start_inflation < 1:

@@ -29,6 +29,9 @@ from uncal.monitor.pairing import Glimpse, PairingCheck, fit, glimpse
 from uncal.monitor.settings import SensorLimits
 from uncal.monitor.statistics import frame_statistics
 from uncal.recordings.frame import Frame, FrameId
+from uncal.runs.assembly import build_module
+from uncal.runs.checkpoint import load_weights, read_recipe
+from uncal.runs.evaluation_settings import focal_of
 
 
 class Evidence(NamedTuple):
