@@ -9,7 +9,9 @@ from uncal.edges.sweep import COLUMNS, KIND, KINDS, SIDE
 from uncal.recordings.frame import FrameId
 
 
-def made_up(size: tuple[int, ...], batch: int, edges: int, device: torch.device) -> NetworkInput:
+def synthetic_inputs(
+    size: tuple[int, ...], batch: int, edges: int, device: torch.device
+) -> NetworkInput:
     """Noise, a tenth of the pixels with a LiDAR point, and edges ahead of the camera.
 
     Args:
