@@ -16,7 +16,7 @@ Run = Callable[..., "subprocess.CompletedProcess[str]"]
     [
         (["ckpt=nowhere.ckpt"], "ckpt=nowhere.ckpt: no such file"),
         (["cases.xxs.model=[nonsense]"], "cases: model=['nonsense']: "),
-        (["cases.xxs.model=[model=unicall]"], "cases: model=['model=unicall']: "),
+        (['cases.xxs.model=["model=unicall"]'], "cases: model=['model=unicall']: "),
     ],
 )
 def test_it_is_a_sentence(words: list[str], said: str, start: Run, tmp_path: Path) -> None:
