@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, cast
 import hydra
 from hydra import compose
 from hydra.core.hydra_config import HydraConfig
+from hydra.errors import HydraException
 from omegaconf import DictConfig
 
 from uncal.errors import ConfigurationError
@@ -36,19 +37,28 @@ def main(config: DictConfig) -> None:
     from uncal.benchmarking.trade import measure_trade
     from uncal.models.answer import Estimator
     from uncal.runs.assembly import build_module
+    from uncal.runs.checkpoint import read_recipe
     from uncal.settings.check import check_settings
     from uncal.system.memory import keep_freed_memory
 
     keep_freed_memory()
     quiet_libraries()
     check_settings(config)
+    if config.ckpt is not None:  # before minutes are measured
+        read_recipe(Path(config.ckpt))
+        if config.data_root is not None and not Path(config.data_root).is_dir():
+            raise ConfigurationError(f"data_root={config.data_root}: no such folder")
     folder = Path(HydraConfig.get().runtime.output_dir)
     device = pick_device(config.device)
     compiled = device.type == "cuda" if config.compile == "auto" else bool(config.compile)
     where = f"{device_name(device)}, {torch.get_num_threads()} threads, torch {torch.__version__}"
     rows, text = [], ""
     for case in filter(None, (config.cases or {}).values()):
-        model = compose("train", overrides=[*case.model, "mcd.chunk=auto"])
+        try:
+            model = compose("train", overrides=[*case.model, "mcd.chunk=auto"])
+        except HydraException as error:
+            reason = str(error).splitlines()[0]
+            raise ConfigurationError(f"cases: model={list(case.model)}: {reason}") from error
         estimator = cast(Estimator, build_module(model).to(device).eval().estimator)
         for batch in case.batches:
             inputs = synthetic_inputs(

@@ -129,8 +129,11 @@ def fit(
     """Train, from nothing or from a checkpoint.
 
     Raises:
-        UncalError: interrupted, stopped by an error, or no checkpoint was written.
+        UncalError: interrupted, diverged, stopped by an error, or no checkpoint was written.
     """
+    import torch
+
+    from uncal.callbacks.divergence import diverged
     from uncal.errors import DivergenceError
     from uncal.runs.checkpoint import save_weights
     from uncal.weights.kept import how_to_finish
@@ -139,6 +142,9 @@ def fit(
         trainer.fit(module, datamodule=data, ckpt_path=start)
     except DivergenceError:
         raise
+    except torch.linalg.LinAlgError as error:  # type: ignore[attr-defined]
+        # Before a loss is NaN: the solver adds a prior, so that only such numbers stop it.
+        raise diverged(trainer, "the normal equations are not finite") from error
     except UncalError as error:
         if trainer.global_step == 0 or not trainer.is_global_zero:
             raise
@@ -150,9 +156,17 @@ def fit(
             f"interrupted; go on after the last finished epoch with {continuation}"
         ) from stop
     path = getattr(trainer.checkpoint_callback, "best_model_path", "")
-    if not path:
-        raise UncalError("no checkpoint was written: keep callbacks.checkpoint and a validation")
-    return Path(str(path))
+    if path:
+        return Path(str(path))
+    if trainer.global_step == 0:
+        raise UncalError("not one step of training: none of its frames can be read")
+    kept = job_folder() / "checkpoints" / "stopped.ckpt"
+    if trainer.is_global_zero:
+        save_weights(module, kept)
+    raise UncalError(
+        "the training ended before its first validation (trainer.max_steps, trainer.max_time), so "
+        f"that no epoch is known to be the best.\n{how_to_finish(kept)}"
+    )
 
 
 def fit_or_resume(

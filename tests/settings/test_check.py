@@ -99,6 +99,8 @@ def test_all_faults_are_named_at_once_with_value_and_what_was_expected(
         (["dataset.recording.camera=5"], "KittiRaw expects str"),
         (["mcd.insert={after: Linear, p: 2}"], r"insert.p=2: expected a number above 0"),
         (["model.network.widths=[a]"], "widths.*: expected a list"),
+        (["trainer.limit_val_batches=0"], "limit_val_batches=0: expected a number above 0"),
+        (["trainer.fast_dev_run=true"], "fast_dev_run: keeps no checkpoint"),
     ],
 )
 def test_refusals(configured: Configured, words: list[str], said: str) -> None:
@@ -158,5 +160,8 @@ def test_every_bound_is_of_a_key_that_ships() -> None:
         assert known, key
 
 
-NOT_IN_YAML = {"mcd.insert.after", "mcd.insert.exclude", "mcd.insert.p", "dataset.focal_px"}
+NOT_IN_YAML = {
+    *("mcd.insert.after", "mcd.insert.exclude", "mcd.insert.p", "dataset.focal_px"),
+    "trainer.limit_*_batches",
+}
 """Keys under one that ships as null, or that an evaluation sets."""

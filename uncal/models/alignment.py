@@ -52,6 +52,24 @@ class LearningSettings:
     pose_weight: float
     precision_weight: float
 
+    def __post_init__(self) -> None:
+        """Check them now; the first step comes after the recordings are read.
+
+        Raises:
+            ConfigurationError: names all four.
+        """
+        n = len(STRIDES)
+        pairs = zip(self.smallest, self.largest, strict=False)
+        fits = len(self.smallest) == len(self.largest) == n and all(
+            0 < a <= b <= 1 for a, b in pairs
+        )
+        if not fits or min(self.pose_weight, self.precision_weight) < 0:
+            raise ConfigurationError(
+                f"model.learning: smallest={list(self.smallest)}, largest={list(self.largest)}, "
+                f"pose_weight={self.pose_weight}, precision_weight={self.precision_weight}: "
+                f"expected {n} numbers each with 0 < smallest ≤ largest ≤ 1, weights from 0 on"
+            )
+
 
 class LastRound(nn.Module):
     """One round for given extrinsics: the part of an estimate that stochastic passes repeat.
@@ -231,7 +249,7 @@ class AlignmentEstimator(nn.Module):
         rounds: Sequence[int],
         learning: LearningSettings,
         start: EdgeAlignmentEstimator | None = None,
-        start_inflation: float = 4.0,
+        start_inflation: float = 16.0,
     ) -> None:
         super().__init__()
         if start_inflation < 1:

@@ -211,7 +211,7 @@ def _estimator(
             list(model.rounds),
             instantiate(model.learning),
             start and _edge_alignment(config, start, decalibration),
-            4.0 if start is None else start.inflation,
+            16.0 if start is None else start.inflation,
         )
     if isinstance(network, EdgeAlignment):
         return EdgeAlignmentEstimator(network, decalibration.bounds, instantiate(model.search))

@@ -17,15 +17,15 @@ from uncal.settings.readers import Tree, refuse_unread
 from uncal.settings.rules import Listed, Number, Rule, like
 from uncal.settings.shipped import shipped_for_this_job
 
-MAY_GO = ("logger", "model.start")
-"""Groups without which a run goes on."""
-
 NEEDED: Mapping[str, str] = {
     "callbacks.report": "the run has no result without it",
     "callbacks.uncertainty": "the intervals have no uncertainty calibration without it",
     "callbacks.checkpoint": "nothing would be kept of the training",
 }
 """Callbacks that no run can do without, where the shipped configuration has them."""
+
+NULLABLE: tuple[str, ...] = ("logger", "model.start")
+"""Groups that a run can do without, beside those that are one of several by name."""
 
 _OF_HYDRA = re.compile(r"\$\{(hydra|now):")
 _ITS_OWN = re.compile(r"(^|\.)simulation(\.|$)")
@@ -154,7 +154,7 @@ def _may_be_null(
         beside = [v for k, v in defaults.items() if k.rpartition(".")[0] == group]
         named = bool(group) and all(isinstance(value, dict) for value in beside)
         holds_named = bool(default) and all(isinstance(v, dict) for v in default.values())
-        return key not in NEEDED and (named or key in MAY_GO or (holds_named and not _needs(key)))
+        return key not in NEEDED and (named or key in NULLABLE or (holds_named and not _needs(key)))
     rule = bounds_of(key)
     if rule is not None:
         return rule.holds(None)
@@ -177,6 +177,11 @@ def _between(config: DictConfig) -> Iterator[str]:
         callbacks = config.get(group)
         if isinstance(callbacks, DictConfig) and last in callbacks and callbacks[last] is None:
             yield f"{name}=null: {reason}; leave it as it is"
+    if _resolved(config, "trainer.fast_dev_run"):
+        yield (
+            "trainer.fast_dev_run: keeps no checkpoint, which a table is made with; a short run is "
+            "trainer.max_epochs=1 trainer.limit_train_batches=2"
+        )
     fractions = _resolved(config, "split.fractions")
     if isinstance(fractions, list) and len(fractions) == 4:
         used = fractions[:3] if _resolved(config, "split.test") == "unseen" else fractions

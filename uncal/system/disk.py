@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import errno
+import os
+import tempfile
 from collections.abc import Iterator
+from pathlib import Path
 
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 _SAID = (
@@ -19,6 +22,7 @@ _REFUSED = {
     errno.EACCES: "permission denied",
     errno.ENOTDIR: "a file, where a folder must be",
     errno.EEXIST: "a file, where a folder must be",
+    errno.EISDIR: "a folder, where a file must be",
 }
 
 
@@ -42,9 +46,25 @@ store=…, dataset.root=…); finished files are as they were, and the same comm
         if isinstance(cause, OSError) and cause.filename and cause.errno in _REFUSED:
             return (
                 f"{cause.filename}: {_REFUSED[cause.errno]}. Name another place (hydra.run.dir=…, "
-                "store=…, dataset.root=…), or change this one."
+                "store=…, dataset.root=…, root=…, out=…), or change this one."
             )
     return None
+
+
+def check_writable(path: Path) -> None:
+    """Find out before the work, and not after it, whether a file can be written; makes its folder.
+
+    Args:
+        path: of the file; one that is there is left as it is.
+
+    Raises:
+        OSError: it cannot be.
+    """
+    if path.is_dir():
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryFile(dir=path.parent):
+        pass
 
 
 def chain_of(error: BaseException | None) -> Iterator[BaseException]:

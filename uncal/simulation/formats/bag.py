@@ -7,7 +7,9 @@ writes one drive of a KITTI raw folder, simulated or real, as an MCAP file in th
 
 from __future__ import annotations
 
+import argparse
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +22,9 @@ from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from scipy.spatial.transform import Rotation  # type: ignore[import-untyped]
 
+from uncal.errors import ConfigurationError
 from uncal.recordings.kitti import KittiRaw
+from uncal.settings.configuration import exits_on_error
 
 _START = 1_700_000_000.0
 """Seconds since 1970 at which a bag begins."""
@@ -158,5 +162,25 @@ def drive_as_bag(root: Path, drive: str, out: Path) -> Path:
     return write_bag(out, images, scans, frames[0].K, frames[0].T_cam_lidar)
 
 
+@exits_on_error
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Write a drive as a bag.
+
+    Args:
+        arguments: of the command line; None: the process's own.
+    """
+    parser = argparse.ArgumentParser(
+        prog="python -m uncal.simulation.formats.bag",
+        description="Writes a drive of a KITTI raw folder, simulated or real, as a ROS 2 bag.",
+    )
+    parser.add_argument("root", type=Path, help="folder of the recordings")
+    parser.add_argument("drive", help="name or pattern of a drive")
+    parser.add_argument("out", type=Path, help="folder of the bag, which must not be there")
+    given = parser.parse_args(arguments)
+    if given.out.exists():
+        raise ConfigurationError(f"{given.out} exists; remove it, or give another name")
+    sys.stdout.write(f"{drive_as_bag(given.root, given.drive, given.out)}\n")
+
+
 if __name__ == "__main__":
-    drive_as_bag(Path(sys.argv[1]), sys.argv[2], Path(sys.argv[3]))
+    main()
