@@ -14,10 +14,10 @@ import onnxruntime  # type: ignore[import-untyped]
 import torch
 
 from uncal.data.image_size import fit, resize_and_crop
-from uncal.decalibration import DecalibrationRange, decalibrate
 from uncal.edges.selection import select_edges
 from uncal.edges.sweep import find_edges
 from uncal.exporting.writer import make_graph
+from uncal.geometry.decalibration import DecalibrationRange, decalibrate
 from uncal.recordings.kitti import KittiRaw
 from uncal.weights.shipped import find_weights
 

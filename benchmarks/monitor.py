@@ -20,11 +20,11 @@ import cv2
 import numpy as np
 import torch
 
-from uncal.memory import keep_freed_memory
 from uncal.monitor import Monitor
 from uncal.monitor.loop import Loop
 from uncal.monitor.run_folder import RunFolder
 from uncal.recordings.frame import Frame, FrameId
+from uncal.system.memory import keep_freed_memory
 
 T = np.array([[0.0, -1, 0, 0.05], [0, 0, -1, -0.08], [1, 0, 0, -0.27], [0, 0, 0, 1]])
 FOCAL_PX = 460.0

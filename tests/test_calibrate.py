@@ -9,7 +9,7 @@ import torch
 
 from uncal.calibrate import summary
 from uncal.models.module import CalibrationModule
-from uncal.models.prediction import SplitPrediction
+from uncal.models.split_prediction import SplitPrediction
 from uncal.uncertainty import ConformalCalibrator, coverage_band
 
 

@@ -11,13 +11,13 @@ import hydra
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from uncal.configuration import CONFIG_DIR, exits_on_error, quiet_libraries
 from uncal.settings.command_line import quote_arguments
+from uncal.settings.configuration import CONFIG_DIR, exits_on_error, quiet_libraries
 from uncal.settings.help_page import show_help
 
 if TYPE_CHECKING:
     from uncal.models.module import CalibrationModule
-    from uncal.models.prediction import SplitPrediction
+    from uncal.models.split_prediction import SplitPrediction
 
 log = logging.getLogger(__name__)
 
@@ -36,12 +36,12 @@ def main(config: DictConfig) -> None:
     # Here and not above: they take seconds, which --help has no use for.
     import lightning
 
-    from uncal.asked import with_settings_of
-    from uncal.assembly import RECIPE, build_data, build_module, build_trainer
-    from uncal.checkpoint import load_weights, read_recipe
     from uncal.errors import ConfigurationError
     from uncal.evaluate import chosen_weights
-    from uncal.models.inference import predict_split
+    from uncal.inference.split_passes import predict_split
+    from uncal.runs.assembly import RECIPE, build_data, build_module, build_trainer
+    from uncal.runs.checkpoint import load_weights, read_recipe
+    from uncal.runs.evaluation_settings import with_settings_of
     from uncal.settings.check import check_settings, refuse_values
     from uncal.weights.shipped import save_shipped
 
@@ -91,8 +91,8 @@ def summary(
         Lines of text.
     """
     from uncal.geometry import DOF_NAMES, DOF_SCALE, DOF_UNITS
-    from uncal.uncertainty.coverage_law import coverage_band
-    from uncal.uncertainty.quantile import miscoverage, samples_needed
+    from uncal.uncertainty.conformal.coverage_law import coverage_band
+    from uncal.uncertainty.conformal.quantile import miscoverage, samples_needed
 
     m = len(scores.place)
     lines = [f"{m} frames of {len(set(drives))} drive(s)."]

@@ -18,7 +18,7 @@ from uncal.recordings.bag_conversion import write_folder
 from uncal.recordings.bag_stream import BagStream
 from uncal.recordings.frame import Frame
 from uncal.recordings.kitti import KittiRaw
-from uncal.simulation.bag import drive_as_bag, write_bag
+from uncal.simulation.formats.bag import drive_as_bag, write_bag
 
 Run = Callable[..., "subprocess.CompletedProcess[str]"]
 

@@ -11,8 +11,6 @@ import pytest
 import torch
 from torch import nn
 
-from uncal.assembly import build_module
-from uncal.checkpoint import save_weights
 from uncal.data.dataset import collate
 from uncal.data.network_input import make_input
 from uncal.edges.evidence import pack, unpack
@@ -20,6 +18,8 @@ from uncal.models.alignment import PRIOR, AlignmentEstimator
 from uncal.monitor.equations import beyond
 from uncal.monitor.evidence import EvidenceReader
 from uncal.recordings.frame import Frame, FrameId
+from uncal.runs.assembly import build_module
+from uncal.runs.checkpoint import save_weights
 from uncal.settings.shipped import shipped_config
 
 T = np.array([[0.0, -1, 0, 0.05], [0, 0, -1, -0.08], [1, 0, 0, -0.27], [0, 0, 0, 1]])

@@ -10,8 +10,8 @@ import hydra
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from uncal.configuration import CONFIG_DIR, exits_on_error, quiet_libraries
 from uncal.settings.command_line import quote_arguments
+from uncal.settings.configuration import CONFIG_DIR, exits_on_error, quiet_libraries
 from uncal.settings.help_page import show_help
 
 log = logging.getLogger(__name__)
@@ -26,9 +26,9 @@ def main(config: DictConfig) -> None:
         config: conf/monitor.yaml with the command line's overrides.
     """
     # Here and not above: they take seconds, which --help has no use for.
-    from uncal.memory import keep_freed_memory
     from uncal.monitor.run import calibrate, chosen, watch
     from uncal.settings.check import check_settings
+    from uncal.system.memory import keep_freed_memory
 
     keep_freed_memory()
     quiet_libraries()

@@ -17,7 +17,7 @@ from uncal.models.answer import Estimator, Prior
 from uncal.models.edge_alignment import EdgeAlignment, EdgeAlignmentEstimator
 from uncal.models.module import CalibrationModule
 from uncal.monitor.sharing import computed_once
-from uncal.uncertainty.dropout import only_active
+from uncal.uncertainty.dropout.layers import only_active
 
 AVERAGED = 1e4
 """Precision of a frame's pose, in units of the range, where a network has no normal equations: the

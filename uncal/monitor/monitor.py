@@ -23,7 +23,7 @@ from uncal.monitor.statistics import WINDOWED, SensorCheck
 from uncal.monitor.verdict import UNTRUSTED, Verdict
 from uncal.monitor.window import RECENT, Window
 from uncal.recordings.frame import Frame, FrameId
-from uncal.uncertainty.calibrator import IntervalCalibrator
+from uncal.uncertainty.conformal.calibrator import IntervalCalibrator
 from uncal.weights.shipped import find_weights
 
 Vector = NDArray[np.float64]

@@ -25,12 +25,12 @@ from uncal.monitor.evidence import Estimate, EvidenceReader
 from uncal.monitor.settings import MonitorSettings
 from uncal.monitor.statistics import STATISTICS, WINDOWED, SensorCheck
 from uncal.monitor.window import Window
-from uncal.progress import watched
 from uncal.recordings.frame import Frame, FrameId, Recording
 from uncal.reporting.layout import replaced_whole
-from uncal.uncertainty.conformal import ConformalCalibrator
-from uncal.uncertainty.hierarchical import HierarchicalCalibrator
-from uncal.uncertainty.quantile import samples_needed
+from uncal.system.progress import watched
+from uncal.uncertainty.conformal.hierarchical import HierarchicalCalibrator
+from uncal.uncertainty.conformal.quantile import samples_needed
+from uncal.uncertainty.conformal.split_conformal import ConformalCalibrator
 
 log = logging.getLogger(__name__)
 

@@ -10,12 +10,12 @@ from pathlib import Path
 
 from omegaconf import OmegaConf
 
-from uncal.configuration import CONFIG_DIR
 from uncal.errors import ConfigurationError, FrameError, RecordingError
 from uncal.monitor.bag_source import BagSettings, bag_frames
 from uncal.recordings.bag_stream import is_bag
 from uncal.recordings.frame import Frame, FrameId, Recording
 from uncal.recordings.plain_calibration import FILE
+from uncal.settings.configuration import CONFIG_DIR
 
 POLL_S = 0.2
 """Seconds between looks at a folder that is being written to."""

@@ -11,20 +11,20 @@ from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
-from uncal.locking import locked
 from uncal.simulation.cache import discard
-from uncal.simulation.drive import Piece, build_scene
-from uncal.simulation.kitti_layout import KittiLayout, drive_name
-from uncal.simulation.lidar import Lidar
+from uncal.simulation.formats.drive import Piece, build_scene
+from uncal.simulation.formats.kitti_folder import KittiLayout, drive_name
 from uncal.simulation.manifest import LOCK_NAME, Manifest, read_manifest
-from uncal.simulation.motion import lidar_motion
-from uncal.simulation.rig import draw_rig, rig_date
-from uncal.simulation.scene import Scene
+from uncal.simulation.scene.street import Street
+from uncal.simulation.scene.trajectory import drive_speed, vehicle_pose
+from uncal.simulation.scene.triangle_scene import Scene
 from uncal.simulation.seeding import Stream, generator
+from uncal.simulation.sensors.lidar import Lidar
+from uncal.simulation.sensors.mount_motion import lidar_motion
+from uncal.simulation.sensors.rig import draw_rig, rig_date
 from uncal.simulation.settings import SimulationSettings
-from uncal.simulation.street import Street
-from uncal.simulation.trajectory import drive_speed, vehicle_pose
 from uncal.simulation.writer import PARTIAL_PREFIX, PIECE_FRAMES, publish
+from uncal.system.locking import locked
 
 log = logging.getLogger(__name__)
 

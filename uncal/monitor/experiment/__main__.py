@@ -9,8 +9,8 @@ import hydra
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from uncal.configuration import CONFIG_DIR, exits_on_error, quiet_libraries
 from uncal.settings.command_line import quote_arguments
+from uncal.settings.configuration import CONFIG_DIR, exits_on_error, quiet_libraries
 
 
 @hydra.main(version_base="1.3", config_path=CONFIG_DIR, config_name="monitor")
@@ -22,10 +22,10 @@ def main(config: DictConfig) -> None:
         config: conf/monitor.yaml with the command line's overrides.
     """
     # Here and not above: they take seconds, which --help has no use for.
-    from uncal.memory import keep_freed_memory
     from uncal.monitor.experiment.run import run_experiment
     from uncal.reporting.run_record import command_line
     from uncal.settings.check import check_settings
+    from uncal.system.memory import keep_freed_memory
 
     keep_freed_memory()
     quiet_libraries()
