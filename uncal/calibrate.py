@@ -94,7 +94,7 @@ def summary(
     from uncal.uncertainty.conformal.coverage_law import coverage_band
     from uncal.uncertainty.conformal.quantile import miscoverage, samples_needed
 
-    m = len(scores.place)
+    m = len(scores.index)
     lines = [f"{m} frames of {len(set(drives))} drive(s)."]
     for level in levels:
         alpha = miscoverage(level)

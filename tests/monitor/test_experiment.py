@@ -15,7 +15,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from uncal.edges.evidence import pack
 from uncal.errors import ConfigurationError
-from uncal.geometry import DOF_NAMES, pose_to_matrix
+from uncal.geometry.transforms import DOF_NAMES, pose_to_matrix
 from uncal.monitor.evidence import Evidence, EvidenceReader
 from uncal.monitor.experiment.cases import FAULT, STEP, STILL, Case, Drive, ExperimentSettings
 from uncal.monitor.experiment.observe import decalibration_of, exchanged, says_moved

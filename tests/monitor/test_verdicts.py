@@ -11,7 +11,7 @@ import torch
 from scipy.stats import binom  # type: ignore[import-untyped]
 
 from uncal.errors import ConfigurationError
-from uncal.geometry import DOF_NAMES
+from uncal.geometry.transforms import DOF_NAMES
 from uncal.monitor.adaptive import make_quantiles
 from uncal.monitor.decision import Interval, decide
 from uncal.monitor.martingale import ExchangeabilityMartingale

@@ -15,8 +15,8 @@ from uncal.edges.evidence import NEAREST_M
 from uncal.edges.image import IMAGE_EDGES, blurred, edge_maps
 from uncal.edges.sweep import KIND, KINDS, N_ACROSS, STRENGTH
 from uncal.errors import ConfigurationError, UncalError
-from uncal.geometry import transform_points
 from uncal.geometry.decalibration import correct
+from uncal.geometry.transforms import transform_points
 from uncal.models.answer import Answer, Question, State
 from uncal.models.pose_search import LogLikelihood, Operator, SearchSettings, search
 
@@ -210,7 +210,7 @@ class EdgeAlignmentEstimator(nn.Module):
                 likelihood = partial(self._likelihood, batch, strength, *some)
                 rounds += [likelihood] * number
             return search(
-                rounds, len(batch.place), self.settings, operators.cholesky, operators.ndtr
+                rounds, len(batch.unit_index), self.settings, operators.cholesky, operators.ndtr
             )
 
     def _likelihood(
@@ -243,7 +243,7 @@ class EdgeAlignmentEstimator(nn.Module):
             (N, n, 6) poses and (n, 6, 6) covariance, metres and radians.
         """
         assert question.state is not None
-        units = torch.arange(len(batch.place), device=batch.unit.device)
+        units = torch.arange(len(batch.unit_index), device=batch.unit.device)
         first = torch.searchsorted(batch.unit, units)
         scales = self.bounds[:, None] * self.bounds
         return Answer(samples[:, first], question.state.covariance * scales)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from torch.utils.tensorboard import SummaryWriter
 
-from uncal.geometry import DOF_NAMES, DOF_SCALE, DOF_UNITS
+from uncal.geometry.transforms import DOF_NAMES, DOF_SCALE, DOF_UNITS
 from uncal.monitor.verdict import VERDICTS, Verdict
 from uncal.recordings.frame import Frame
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from uncal.geometry import DOF_NAMES
+from uncal.geometry.transforms import DOF_NAMES
 from uncal.monitor.settings import DriftSettings, Limits
 from uncal.monitor.verdict import DRIFTING, OK, RECALIBRATE, UNTRUSTED
 

@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 
 from uncal.errors import ConfigurationError, FrameError
-from uncal.geometry import matrix_to_pose
+from uncal.geometry.transforms import matrix_to_pose
 from uncal.monitor.adaptive import Quantiles, make_quantiles, scores_of
 from uncal.monitor.decision import Interval, decide
 from uncal.monitor.evidence import Estimate, Evidence, EvidenceReader

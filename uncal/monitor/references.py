@@ -20,7 +20,7 @@ import torch
 from numpy.typing import NDArray
 
 from uncal.errors import ConfigurationError, FrameError, RecordingError
-from uncal.geometry import DOF_NAMES, pose_to_matrix
+from uncal.geometry.transforms import DOF_NAMES, pose_to_matrix
 from uncal.monitor.evidence import Estimate, EvidenceReader
 from uncal.monitor.settings import MonitorSettings
 from uncal.monitor.statistics import STATISTICS, WINDOWED, SensorCheck

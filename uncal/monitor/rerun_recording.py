@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from uncal.errors import ConfigurationError
-from uncal.geometry import DOF_NAMES, DOF_SCALE
+from uncal.geometry.transforms import DOF_NAMES, DOF_SCALE
 from uncal.monitor.evidence import EvidenceReader
 from uncal.monitor.extrinsic import after_step
 from uncal.monitor.pictures import shown

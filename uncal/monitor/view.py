@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from uncal.geometry import DOF_NAMES
+from uncal.geometry.transforms import DOF_NAMES
 from uncal.monitor.monitor import Monitor
 from uncal.monitor.verdict import OK, Verdict
 from uncal.system.progress import LOG_INTERVAL

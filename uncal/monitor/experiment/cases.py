@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from omegaconf import DictConfig, OmegaConf
 
 from uncal.errors import ConfigurationError
-from uncal.geometry import DOF_NAMES
+from uncal.geometry.transforms import DOF_NAMES
 from uncal.recordings.frame import Frame
 from uncal.recordings.kitti import KittiRaw
 from uncal.simulation.cache import ensure_simulated

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from uncal.geometry import DOF_NAMES, matrix_to_pose
+from uncal.geometry.transforms import DOF_NAMES, matrix_to_pose
 from uncal.monitor.evidence import Evidence, EvidenceReader
 from uncal.monitor.experiment.cases import Case, Drive
 from uncal.monitor.extrinsic import after_step

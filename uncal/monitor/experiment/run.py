@@ -15,7 +15,7 @@ import pandas as pd
 from omegaconf import DictConfig, OmegaConf
 
 from uncal.errors import ConfigurationError
-from uncal.geometry import DOF_NAMES
+from uncal.geometry.transforms import DOF_NAMES
 from uncal.monitor.experiment.cases import BLIND, STEP, STILL, Case, ExperimentSettings
 from uncal.monitor.experiment.observe import RememberingReader, Row, exchanged, fresh, observe
 from uncal.monitor.experiment.page import write_tables

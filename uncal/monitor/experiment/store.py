@@ -9,7 +9,7 @@ from pathlib import Path
 import pandas as pd
 
 from uncal.errors import ConfigurationError
-from uncal.geometry import DOF_NAMES
+from uncal.geometry.transforms import DOF_NAMES
 from uncal.monitor.experiment.observe import VECTORS, Row
 from uncal.reporting.layout import write_whole
 
