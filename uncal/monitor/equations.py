@@ -50,6 +50,14 @@ class Asker:
         return isinstance(self.module.estimator, AlignmentEstimator | EdgeAlignmentEstimator)
 
     @property
+    def start_inflation(self) -> float:
+        """Factor on the covariance of what the start finds; 0 without a start."""
+        estimator = self.module.estimator
+        if isinstance(estimator, AlignmentEstimator) and estimator.start is not None:
+            return float(estimator.start_inflation)
+        return 0.0
+
+    @property
     def alignment(self) -> EdgeAlignment | None:
         """What scores edges without a network; None where the estimator has nothing of the kind."""
         estimator = self.module.estimator

@@ -17,7 +17,13 @@ from uncal.monitor.evidence import Estimate, Evidence, EvidenceReader
 from uncal.monitor.extrinsic import Change, ExtrinsicInUse
 from uncal.monitor.martingale import ExchangeabilityMartingale
 from uncal.monitor.pairing import PairingCheck
-from uncal.monitor.references import FLOOR, References, fingerprint, references_beside
+from uncal.monitor.references import (
+    FLOOR,
+    SIMULATED,
+    References,
+    fingerprint,
+    references_beside,
+)
 from uncal.monitor.settings import MonitorSettings
 from uncal.monitor.statistics import WINDOWED, SensorCheck
 from uncal.monitor.verdict import UNTRUSTED, Verdict
@@ -72,6 +78,13 @@ class Monitor:
             self.references.check_level(settings.level, settings.exchangeable)
             calibrators = list(self.references.calibrators(settings.exchangeable))
             settings = self._within_reach(settings, self.references)
+            if self.references.label.startswith(SIMULATED):
+                self.notes.append(
+                    "The references are of simulated rigs: on real frames intervals are too narrow "
+                    "and drifts may be found where there are none. python -m uncal.monitor "
+                    "calibrate=FOLDER makes references from recordings with trusted extrinsics; "
+                    "until then update.apply=false only watches."
+                )
         self.settings = settings
         self.quantiles: Quantiles = make_quantiles(settings.adapt, calibrators, settings.level)
         self.drift = make_quantiles(settings.adapt, calibrators, settings.drift.level)

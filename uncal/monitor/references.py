@@ -36,6 +36,9 @@ log = logging.getLogger(__name__)
 
 Vector = NDArray[np.float64]
 
+SIMULATED = "simulated: "
+"""How the label of references begins that no real sensor recorded."""
+
 FLOOR = 1e-6
 """Smallest σ to divide by, metres and radians."""
 
@@ -235,7 +238,7 @@ def fingerprint(reader: EvidenceReader, settings: MonitorSettings) -> dict[str, 
         "range": [float(f"{bound:.6g}") for bound in reader.bounds],
         "window": settings.window,
         "forgetting": settings.forgetting,
-        "start": reader.counts_start,
+        "start": reader.ask.start_inflation if reader.counts_start else 0.0,
         "statistics": list(WINDOWED),
     }
 

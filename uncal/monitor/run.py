@@ -17,7 +17,7 @@ from uncal.monitor.bag_source import BagSettings
 from uncal.monitor.evidence import EvidenceReader
 from uncal.monitor.loop import Loop, outputs_of
 from uncal.monitor.monitor import Monitor
-from uncal.monitor.references import make_references, references_beside
+from uncal.monitor.references import SIMULATED, make_references, references_beside
 from uncal.monitor.run_folder import LINES, TABLE, RunFolder
 from uncal.monitor.settings import MonitorSettings
 from uncal.monitor.sources import SourceSettings, check_source, open_recording, stream
@@ -72,7 +72,7 @@ def calibrate(config: DictConfig, folder: Path) -> str:
     recording = open_recording(_source(config, config.calibrate))
     reader = EvidenceReader(weights, _device(), settings.seed)
     simulated = (Path(config.calibrate) / MANIFEST_NAME).is_file()
-    label = f"{'simulated: ' * simulated}{config.calibrate}"
+    label = f"{SIMULATED * simulated}{config.calibrate}"
     references = make_references(recording, reader, settings, label)
     path = Path(config.references) if config.references else references_beside(weights)
     try:
