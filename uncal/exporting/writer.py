@@ -34,7 +34,7 @@ def write_graph(
     out: Path,
     format: str,
     size: tuple[int, int],
-    levels: Sequence[float],
+    levels: Sequence[float] | None,
     mask_seed: int,
 ) -> list[Path]:
     """Write the graph.
@@ -44,7 +44,7 @@ def write_graph(
         out: file to write.
         format: one of :data:`FORMATS`.
         size: (H, W) of the images, multiples of 8 pixels.
-        levels: coverage levels.
+        levels: coverage levels; None: those of the weights.
         mask_seed: of the masks, where the weights have none of their own.
 
     Returns:
@@ -105,13 +105,13 @@ def to_onnx(graph: AlignmentGraph, arguments: tuple[Tensor, ...], out: Path) -> 
 
 
 def make_graph(
-    weights: Path, levels: Sequence[float], mask_seed: int
+    weights: Path, levels: Sequence[float] | None, mask_seed: int
 ) -> tuple[AlignmentGraph, InputSettings]:
     """The graph of trained weights, in evaluation mode.
 
     Args:
         weights: a checkpoint, or shipped weights.
-        levels: coverage levels.
+        levels: coverage levels; None: those of the weights.
         mask_seed: of the masks, where the weights have none of their own.
 
     Returns:
@@ -140,7 +140,8 @@ def make_graph(
     masks = FixedMasks(mask_seed) if module.masks is None else module.masks
     module.eval()
     with torch.no_grad():
-        return AlignmentGraph(module, inputs, levels, masks).eval(), inputs
+        chosen = list(recipe.interval.levels) if levels is None else levels
+        return AlignmentGraph(module, inputs, chosen, masks).eval(), inputs
 
 
 def example(size: tuple[int, int], edges: int = 64) -> tuple[Tensor, Tensor, Tensor, Tensor]:

@@ -7,6 +7,7 @@ what the frames look like. Intervals come from those errors, never from σ/√n.
 
 from __future__ import annotations
 
+import io
 import json
 import logging
 import zipfile
@@ -30,10 +31,14 @@ from uncal.reporting.layout import replaced_whole
 from uncal.uncertainty.conformal import ConformalCalibrator
 from uncal.uncertainty.hierarchical import HierarchicalCalibrator
 from uncal.uncertainty.quantile import samples_needed
+from uncal.weights.shipped import load_shipped
 
 log = logging.getLogger(__name__)
 
 Vector = NDArray[np.float64]
+
+INSIDE = "monitor.references"
+"""Name of the tensor of references in a file of weights."""
 
 FLOOR = 1e-6
 """Smallest σ to divide by, metres and radians."""
@@ -126,32 +131,42 @@ class References:
             path: ending in .npz.
         """
         path.parent.mkdir(parents=True, exist_ok=True)
-        about = json.dumps({"made_with": self.made_with, "label": self.label})
-        with replaced_whole(path) as partial, partial.open("wb") as file:
-            np.savez_compressed(
-                file,
-                about=np.array(about),
-                drives=np.array(self.drives),
-                error=self.error,
-                std=self.std,
-                frames=self.frames,
-                windows=self.windows,
-            )
+        with replaced_whole(path) as partial:
+            partial.write_bytes(self._bytes())
         return path
+
+    def packed(self) -> torch.Tensor:
+        """The same file as a tensor of bytes, for a file of weights; see :data:`INSIDE`."""
+        return torch.frombuffer(bytearray(self._bytes()), dtype=torch.uint8)
+
+    def _bytes(self) -> bytes:
+        about = json.dumps({"made_with": self.made_with, "label": self.label})
+        file = io.BytesIO()
+        np.savez_compressed(
+            file,
+            about=np.array(about),
+            drives=np.array(self.drives),
+            error=self.error,
+            std=self.std,
+            frames=self.frames,
+            windows=self.windows,
+        )
+        return file.getvalue()
 
     @classmethod
     def load(cls, path: Path, made_with: dict[str, object]) -> References:
         """Read them.
 
         Args:
-            path: of :meth:`save`.
+            path: of :meth:`save`, or a file of weights that holds them.
             made_with: fingerprint of the estimator that they are for.
 
         Raises:
             ConfigurationError: no such file, a damaged one, or one of another estimator.
         """
         try:
-            with np.load(path, allow_pickle=False) as file:
+            source = io.BytesIO(_inside(path)) if path.suffix == ".safetensors" else path
+            with np.load(source, allow_pickle=False) as file:
                 about = json.loads(str(file["about"]))
                 found = cls(
                     about["made_with"],
@@ -181,6 +196,19 @@ class References:
                 "same settings, or make them anew with calibrate=FOLDER"
             )
         return found
+
+
+def has_references(weights: Path) -> bool:
+    """Whether a file of weights holds references itself, as ``uncal.calibrate`` writes it.
+
+    Args:
+        weights: their file.
+    """
+    return weights.suffix == ".safetensors" and INSIDE in load_shipped(weights)[0]
+
+
+def _inside(weights: Path) -> bytes:
+    return load_shipped(weights)[0][INSIDE].numpy().tobytes()
 
 
 def references_beside(weights: Path) -> Path:

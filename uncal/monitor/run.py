@@ -154,7 +154,9 @@ def watch(config: DictConfig, folder: Path) -> str:
     if frames and total > 0:
         shares = ", ".join(f"{name} {100 * seconds[name] / total:.0f} %" for name in PARTS)
         lines.append(f"{frames / total:.1f} frames a second: {shares}")
-    lines.append(f"{folder / LINES} and {TABLE}")
+    transform = monitor.static_transform()
+    files = [] if transform is None else transform.write(folder / "estimate")
+    lines.append(f"{folder / LINES}, {', '.join([TABLE, *(path.name for path in files)])}")
     return "\n".join(filter(None, lines))
 
 

@@ -13,6 +13,7 @@ from omegaconf import OmegaConf
 from uncal.configuration import CONFIG_DIR
 from uncal.errors import ConfigurationError, FrameError, RecordingError
 from uncal.recordings.frame import Frame, FrameId, Recording
+from uncal.recordings.layout_names import layout_of
 
 POLL_S = 0.2
 """Seconds between looks at a folder that is being written to."""
@@ -21,7 +22,6 @@ SETTLED_S = 1.0
 """The newest frame is read once a later one is there, or after so long without news: before that
 its files may be half written."""
 
-_DATE = re.compile(r"\d{4}_\d{2}_\d{2}")
 _NAME = re.compile(r"(.+)/(.+)/(\d+)")
 
 
@@ -69,34 +69,31 @@ def open_recording(settings: SourceSettings) -> Recording:
         RecordingError: no folder, or none of the layouts.
     """
     root = settings.root.expanduser()
-    if not root.is_dir():
-        raise RecordingError(f"source={root}: no such folder")
+    layout = layout_of(root, "source")
     drives, stride = settings.drives, settings.stride
-    names = [path.name for path in root.iterdir() if path.is_dir()]
-    if any(_DATE.fullmatch(name) for name in names):
+    if layout == "folder":
+        from uncal.recordings.plain_folder import PlainFolder
+
+        return PlainFolder(root, settings.camera, drives=drives, stride=stride)
+    if layout == "kitti":
         from uncal.recordings.kitti import KittiRaw
 
         return KittiRaw(root, settings.camera or "image_02", stride, drives)
-    if "sequences" in names:
+    if layout == "kitti_odometry":
         from uncal.recordings.kitti_odometry import KittiOdometry
 
         return KittiOdometry(root, drives, settings.camera or "image_2", stride)
-    if "data" in names or any((root / name / "events").is_dir() for name in names):
-        from uncal.recordings.dsec import Dsec
+    from uncal.recordings.dsec import Dsec
 
-        known = OmegaConf.load(Path(CONFIG_DIR) / "dataset" / "dsec.yaml")
-        return Dsec(
-            root,
-            known.window_ms,
-            known.min_events,
-            drives,
-            settings.camera or known.side,
-            stride,
-            known.scan_time,
-        )
-    raise RecordingError(
-        f"source={root}: none of the known layouts: KITTI raw (date folders such as 2011_09_26), "
-        "KITTI odometry (sequences/) or DSEC (sequences with events/, and data/)"
+    known = OmegaConf.load(Path(CONFIG_DIR) / "dataset" / "dsec.yaml")
+    return Dsec(
+        root,
+        known.window_ms,
+        known.min_events,
+        drives,
+        settings.camera or known.side,
+        stride,
+        known.scan_time,
     )
 
 
