@@ -40,7 +40,9 @@ TINY = {
 }
 
 
-def calibrated(kind: type[ConformalCalibrator], drives: int) -> tuple[object, object, list[FrameId]]:
+def calibrated(
+    kind: type[ConformalCalibrator], drives: int
+) -> tuple[object, object, list[FrameId]]:
     torch.manual_seed(0)
     m = 50
     frames = [FrameId("rig", f"d{i % drives}", i) for i in range(m)]
@@ -56,9 +58,7 @@ def calibrated(kind: type[ConformalCalibrator], drives: int) -> tuple[object, ob
 
 def told(kind: type[ConformalCalibrator], drives: int, levels: list[float]) -> str:
     module, scores, frames = calibrated(kind, drives)
-    lines = summary(
-        cast(CalibrationModule, module), cast(SplitPrediction, scores), frames, levels
-    )
+    lines = summary(cast(CalibrationModule, module), cast(SplitPrediction, scores), frames, levels)
     return "\n".join(lines)
 
 
@@ -156,8 +156,7 @@ def test_evaluate_takes_the_file_with_its_calibration(
     done = start(
         "uncal.evaluate",
         *(f"weights={file}", "dataset=folder", f"dataset.root={own_rig}", "refit=false"),
-        *("dataset.loader.workers=0", "hydra.run.dir=evaluated", "callbacks.overlays=null"),
-        *("callbacks.figures=null", "callbacks.interval_overlays=null"),
+        *("dataset.loader.workers=0", "hydra.run.dir=evaluated"),
         cwd=own_rig.parent,
     )
     assert done.returncode == 0, done.stderr

@@ -7,6 +7,7 @@ from one extrinsic to the nearest maximum.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from copy import copy
 
 import numpy as np
 import torch
@@ -31,14 +32,17 @@ SHARPNESS = 0.3
 WIDE_BLUR_DEG: tuple[float, ...] = (2.0, 1.2, 0.75, 0.45)
 """Of the search, coarse to fine."""
 
+ALL_BLUR_DEG: tuple[float, ...] = (2.0, 1.0, 0.4, 0.2, 0.12)
+"""Of a refinement that begins at a guess."""
+
 FINE_BLUR_DEG: tuple[float, ...] = (0.4, 0.2, 0.12)
-"""Of the refinement."""
+"""Of the refinement of what a search has found."""
 
 ROUNDS = 4
 """Of the search at each blur."""
 
-STEP = np.array([0.03] * 3 + [0.004] * 3)
-"""First step of the refinement, metres and radians."""
+STEP = np.array([0.1] * 3 + [0.01] * 3)
+"""Units that the refinement counts in, metres and radians: of like effect on the image."""
 
 
 class EdgeField:
@@ -63,6 +67,16 @@ class EdgeField:
             self.weights = network.weigh(batch.edges, batch.T_init)
         self.edges = batch.edges.nan_to_num()
         self.K = batch.K
+
+    def fewer(self, edges: int) -> EdgeField:
+        """The same with fewer edges, of which any first part is a fair sample.
+
+        Args:
+            edges: of each frame.
+        """
+        smaller = copy(self)
+        smaller.edges, smaller.weights = self.edges[:, :edges], self.weights[:, :edges]
+        return smaller
 
     def strength(self, blur_deg: float) -> Tensor:
         """(B, 2, H, W) blurred edge strength above the image's mean.
@@ -130,10 +144,8 @@ def search_wide(
     return found[int(best)].double().numpy()
 
 
-def refine(
-    field: EdgeField, T_start: Matrix, blur_deg: Sequence[float] = FINE_BLUR_DEG
-) -> Matrix:
-    """Climb to the nearest maximum, coarse blur first (Powell's method).
+def refine(field: EdgeField, T_start: Matrix, blur_deg: Sequence[float] = FINE_BLUR_DEG) -> Matrix:
+    """Climb to the nearest maximum, coarse blur first (L-BFGS with the exact gradient).
 
     Args:
         field: the frames.
@@ -146,15 +158,22 @@ def refine(
     T = torch.from_numpy(T_start)
     for blur in blur_deg:
         value = _objective(field, field.strength(blur), T)
-        step = minimize(value, np.zeros(6), method="Powell", options={"xtol": 0.02, "ftol": 1e-5})
+        step = minimize(
+            value, np.zeros(6), jac=True, method="L-BFGS-B", options={"maxiter": 40, "ftol": 1e-7}
+        )
         T = correct(T, torch.from_numpy(step.x * STEP))
     return T.numpy()
 
 
-def _objective(field: EdgeField, strength: Tensor, T: Tensor) -> Callable[[Matrix], float]:
-    def value(x: Matrix) -> float:
-        with torch.no_grad():
-            moved = correct(T, torch.from_numpy(x * STEP)).float()
-            return -float(field.total(strength, moved[None])[0])
+def _objective(
+    field: EdgeField, strength: Tensor, T: Tensor
+) -> Callable[[Matrix], tuple[float, Matrix]]:
+    def value(x: Matrix) -> tuple[float, Matrix]:
+        at = torch.from_numpy(x).requires_grad_()
+        moved = correct(T, at * torch.from_numpy(STEP)).float()
+        # Per edge, so that the optimiser's tolerances suit any number of frames.
+        lost = -field.total(strength, moved[None])[0] / field.weights.sum()
+        (gradient,) = torch.autograd.grad(lost, at)
+        return float(lost.detach()), gradient.numpy()
 
     return value

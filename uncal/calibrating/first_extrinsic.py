@@ -6,6 +6,7 @@ import copy
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from statistics import NormalDist
 
 import numpy as np
 import torch
@@ -16,10 +17,12 @@ from uncal.data.dataset import Sample, collate
 from uncal.data.network_input import make_input
 from uncal.decalibration import DecalibrationRange
 from uncal.errors import FrameError, RecordingError
+from uncal.geometry import matrix_to_pose
 from uncal.models.pose_search import SearchSettings
 from uncal.monitor.evidence import Estimate, EvidenceReader
 from uncal.monitor.extrinsic import after_step
-from uncal.monitor.settings import SensorLimits
+from uncal.monitor.references import References
+from uncal.monitor.settings import MonitorSettings
 from uncal.recordings.frame import Frame, Recording
 
 log = logging.getLogger(__name__)
@@ -30,26 +33,32 @@ WINDOW_PX = 15
 """Half the side of the area that image edges are normalised in."""
 
 
+SEARCH = SearchSettings(samples=384, effective=32, widening=1.5)
+"""Of one search over the whole range."""
+
+STARTS, SEARCH_EDGES, ROUNDS = 2, 384, 2
+"""Searches, edges of a frame that they look at, and rounds of the network after them."""
+
+
 @dataclass(frozen=True)
 class FirstExtrinsic:
     """What the frames say, without a reference.
 
     Attributes:
-        T_cam_lidar: (4, 4).
-        std: (6,) σ of the network's last round, metres and radians, LiDAR frame.
-        last: (6,) correction of the last round: a search that has arrived makes none.
+        T_cam_lidar: (4, 4) after search, refinement and network.
+        half: (6,) half the width of the interval of each DoF, metres and radians, LiDAR frame.
+        covariance: (6, 6) of a normal law with such intervals.
+        searched: (4, 4) after the search alone.
+        refined: (4, 4) after the refinement, before the network.
         frames: that it is made of.
     """
 
     T_cam_lidar: Matrix
-    std: Matrix
-    last: Matrix
-    frames: int
+    half: Matrix
+    covariance: Matrix
     searched: Matrix
-
-
-SETTINGS = SearchSettings(samples=512, effective=40, widening=1.5)
-"""Of the search over the whole range."""
+    refined: Matrix
+    frames: int
 
 
 def load_frames(recording: Recording, most: int) -> list[Frame]:
@@ -99,13 +108,54 @@ def edge_field(
     return EdgeField(inputs, WINDOW_PX, reader.inputs.camera_channels, model.image_edges)
 
 
+def first_extrinsic(
+    frames: Sequence[Frame],
+    reader: EvidenceReader,
+    T_guess: Matrix,
+    within: DecalibrationRange,
+    references: References,
+    settings: MonitorSettings,
+) -> FirstExtrinsic:
+    """Search the whole range, climb on edges, and let the network go on from there.
+
+    The interval is that of the monitor's references: drives with trusted extrinsics on which the
+    network, within its range, was as wrong as that. More frames than their window has do not make
+    it narrower, since what is common to a rig does not average out, and it reaches at least as far
+    as refinement and network differ.
+
+    Args:
+        frames: of one rig.
+        reader: the weights.
+        T_guess: (4, 4) LiDAR to camera.
+        within: how far it may be off.
+        references: of the weights.
+        settings: of the monitor: level and fewest edges.
+
+    Raises:
+        RecordingError: no frame has enough edges in the image.
+    """
+    field = edge_field(frames, reader, T_guess, within)
+    bounds = within.bounds.double().numpy()
+    searched = search_wide(field.fewer(SEARCH_EDGES), T_guess, bounds, SEARCH, STARTS)
+    refined = refine(field, searched)
+    T, estimate, used = rounds_of_network(frames, reader, refined, ROUNDS, settings)
+    calibrators = references.calibrators(settings.exchangeable)
+    calibrator = calibrators[min(used, len(calibrators)) - 1]
+    of_references = calibrator.quantile(settings.level).numpy() * estimate.std
+    apart = torch.linalg.inv(torch.from_numpy(refined)) @ torch.from_numpy(T)
+    half = np.maximum(of_references, matrix_to_pose(apart).abs().numpy())
+    scale = half / estimate.std / NormalDist().inv_cdf((1 + settings.level) / 2)
+    covariance = estimate.covariance * np.outer(scale, scale)
+    return FirstExtrinsic(T, half, covariance, searched, refined, len(frames))
+
+
 def rounds_of_network(
     frames: Sequence[Frame],
     reader: EvidenceReader,
     T_start: Matrix,
     rounds: int,
-    limits: SensorLimits,
-) -> tuple[Matrix, Estimate]:
+    settings: MonitorSettings,
+) -> tuple[Matrix, Estimate, int]:
     """The network on all frames together, again from what it has found.
 
     Args:
@@ -113,10 +163,10 @@ def rounds_of_network(
         reader: the weights.
         T_start: (4, 4) LiDAR to camera.
         rounds: how often.
-        limits: fewest edges of a frame.
+        settings: of the monitor: fewest edges, and the most frames that σ is for.
 
     Returns:
-        (4, 4) LiDAR to camera, and the last round's estimate.
+        (4, 4) LiDAR to camera, the last round's estimate, and the frames in it.
 
     Raises:
         RecordingError: no frame has enough edges in the image.
@@ -126,28 +176,13 @@ def rounds_of_network(
         evidence = []
         for frame in frames:
             try:
-                evidence.append(reader.evidence(frame, T, limits).equations)
+                evidence.append(reader.evidence(frame, T, settings.sensors).equations)
             except FrameError as error:
                 log.warning("skipped %s: %s", frame.id, error)
         if not evidence:
             raise RecordingError("no frame has enough edges of its sweep in the image")
-        estimate = reader.solve(torch.stack(evidence).sum(0))
-        T = after_step(T, estimate.mean)
-    return T, estimate
-
-
-def search_and_solve(
-    frames: Sequence[Frame],
-    reader: EvidenceReader,
-    field: EdgeField,
-    T_guess: Matrix,
-    within: DecalibrationRange,
-    settings: SearchSettings,
-    limits: SensorLimits,
-    starts: int = 3,
-) -> FirstExtrinsic:
-    """Search the whole range without the network, then let the network go on in rounds."""
-    bounds = within.bounds.double().numpy()
-    searched = search_wide(field, T_guess, bounds, settings, starts)
-    T, estimate = rounds_of_network(frames, reader, searched, 4, limits)
-    return FirstExtrinsic(T, estimate.std, estimate.mean, len(frames), searched)
+        mean = torch.stack(evidence).mean(0)
+        T = after_step(T, reader.solve(mean * len(evidence)).mean)
+        # Of no more frames than the references know.
+        estimate = reader.solve(mean * min(len(evidence), settings.window))
+    return T, estimate, len(evidence)

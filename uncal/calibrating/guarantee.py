@@ -91,7 +91,9 @@ def summary(
         lines.append(f"  now {_widths(module, scores, frames, level)}")
         if not by_drive:
             # A larger set needs a rank less far above the level: what its quantile tends to.
-            lines.append(f"  with {4 * m} {what} about {_widths(module, scores, frames, level, 4 * m)}")
+            lines.append(
+                f"  with {4 * m} {what} about {_widths(module, scores, frames, level, 4 * m)}"
+            )
     lines.append("This holds for decalibrations within the range, of frames or drives like these.")
     return lines
 

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import lightning
-import torch
 from omegaconf import DictConfig
 
 from uncal.asked import with_settings_of
@@ -105,8 +103,10 @@ def _add_references(
             continue
         save_shipped(module.state_dict(), module.recipe, out, {INSIDE: references.packed()})
         hint = "" if exchangeable == "drive" else " exchangeable=window"
-        return [f"The monitor's references: {len(references.drives)} windows. python -m "
-                f"uncal.monitor weights={out}{hint} source=…"]
+        return [
+            f"The monitor's references: {len(references.drives)} windows. python -m "
+            f"uncal.monitor weights={out}{hint} source=…"
+        ]
     return [f"No references for the monitor, which watches single frames then: {reason}"]
 
 

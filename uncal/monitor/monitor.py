@@ -20,8 +20,8 @@ from uncal.monitor.martingale import ExchangeabilityMartingale
 from uncal.monitor.references import (
     FLOOR,
     References,
+    find_references,
     fingerprint,
-    has_references,
     references_beside,
 )
 from uncal.monitor.settings import MonitorSettings
@@ -217,11 +217,10 @@ class Monitor:
         made_with = fingerprint(self.reader, settings)
         if given is not None:
             return References.load(Path(given), made_with)
+        found = find_references(weights, made_with)
+        if found is not None:
+            return found
         beside = references_beside(weights)
-        if beside.is_file():
-            return References.load(beside, made_with)
-        if has_references(weights):
-            return References.load(weights, made_with)
         self.notes.append(
             f"No references ({beside} is not there): window=1, intervals of single frames as the "
             "weights were calibrated, and nothing says when inputs are unlike those. "

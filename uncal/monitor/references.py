@@ -198,13 +198,25 @@ class References:
         return found
 
 
-def has_references(weights: Path) -> bool:
-    """Whether a file of weights holds references itself, as ``uncal.calibrate`` writes it.
+def find_references(weights: Path, made_with: dict[str, object]) -> References | None:
+    """Those beside a file of weights, or within it, as ``uncal.calibrate`` writes them.
 
     Args:
         weights: their file.
+        made_with: fingerprint of the estimator that they are for.
+
+    Returns:
+        None if there are none.
+
+    Raises:
+        ConfigurationError: they are damaged, or of another estimator.
     """
-    return weights.suffix == ".safetensors" and INSIDE in load_shipped(weights)[0]
+    beside = references_beside(weights)
+    if beside.is_file():
+        return References.load(beside, made_with)
+    if weights.suffix == ".safetensors" and INSIDE in load_shipped(weights)[0]:
+        return References.load(weights, made_with)
+    return None
 
 
 def _inside(weights: Path) -> bytes:

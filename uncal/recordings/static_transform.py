@@ -1,4 +1,4 @@
-"""An extrinsic as ROS takes it: a static transform (YAML) and a fixed joint (URDF), with covariance.
+"""An extrinsic for ROS: static transform (YAML) and fixed joint (URDF), with its covariance.
 
 Parent is the camera's optical frame (x right, y down, z forward), child the LiDAR, so that the
 transform is T_cam_lidar itself: it maps points of the LiDAR to the camera, and its translation is

@@ -58,7 +58,9 @@ def save_shipped(
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     everything = state | (beside or {})
-    tensors = {name: value.detach().cpu().contiguous().clone() for name, value in everything.items()}
+    tensors = {
+        name: value.detach().cpu().contiguous().clone() for name, value in everything.items()
+    }
     save_file(tensors, path, metadata={"uncal_recipe": json.dumps(recipe)})
 
 
