@@ -33,7 +33,7 @@ Run = Callable[..., "subprocess.CompletedProcess[str]"]
 TINY = {
     "n_rigs": 1,
     "drives_per_rig": 10,
-    "frames_per_drive": 4,
+    "frames_per_drive": 2,
     "camera": {"height": 48, "width": 128, "focal_px": 140.0},
     "lidar": {"beams": 32, "azimuth_step_deg": 0.6},
     "scene": {"view_m": 60.0},
@@ -156,7 +156,7 @@ def test_evaluate_takes_the_file_with_its_calibration(
     done = start(
         "uncal.evaluate",
         *(f"weights={file}", "dataset=folder", f"dataset.root={own_rig}", "refit=false"),
-        *("dataset.loader.workers=0", "hydra.run.dir=evaluated"),
+        *("dataset.loader.workers=0", "dataset.stride=2", "hydra.run.dir=evaluated"),
         cwd=own_rig.parent,
     )
     assert done.returncode == 0, done.stderr
@@ -168,7 +168,7 @@ def test_evaluate_takes_the_file_with_its_calibration(
 def test_the_monitor_takes_the_file(own_rig: Path, file: Path, start: Run) -> None:
     done = start(
         "uncal.monitor.__main__",
-        *(f"weights={file}", f"source={own_rig}", "stride=4", "hydra.run.dir=watched"),
+        *(f"weights={file}", f"source={own_rig}", "stride=2", "hydra.run.dir=watched"),
         cwd=own_rig.parent,
     )
     assert done.returncode == 0, done.stderr
