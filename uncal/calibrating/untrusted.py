@@ -23,9 +23,9 @@ from uncal.recordings.static_transform import StaticTransform
 Matrix = NDArray[np.float64]
 
 WARNING = (
-    "No reference, no guarantee: the interval is that of other rigs, whose references come with the "
-    "weights, and holds if the search has arrived. Look at the overlay of python -m uncal.check, "
-    "and measure the extrinsic in another way before you trust it."
+    "No reference, no guarantee: the interval is that of other rigs, whose references come with "
+    "the weights, and holds if the search has arrived. Look at the overlay of python -m "
+    "uncal.check, and measure the extrinsic in another way before you trust it."
 )
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import torch
 from hydra.utils import instantiate
-from torch import Tensor
+from torch import Tensor, nn
 
 from uncal.assembly import build_module
 from uncal.checkpoint import load_weights, read_recipe
@@ -65,15 +65,10 @@ def write_graph(
         raise ConfigurationError(
             f"format=onnx needs {' and '.join(missing)}: pip install 'uncal[export]'"
         )
-    if format == "torch_export":
-        raise ConfigurationError(
-            "format=torch_export: not available yet, since the saved program cannot be loaded "
-            "again; use format=onnx"
-        )
     graph, inputs = make_graph(weights, levels, mask_seed)
     out.parent.mkdir(parents=True, exist_ok=True)
     arguments = example(size)
-    to_onnx(graph, arguments, out)
+    (to_onnx if format == "onnx" else to_torch)(graph, arguments, out)
     finder = out.with_name(f"{out.stem}_edges.py")
     bounds = graph.estimator.bounds
     source = edges_source(inputs.edges, float(bounds[3]), float(bounds[0]))
@@ -102,6 +97,47 @@ def to_onnx(graph: AlignmentGraph, arguments: tuple[Tensor, ...], out: Path) -> 
             output_names=list(OUTPUTS),
             dynamic_axes={"edges": {0: "edges"}},
         )
+
+
+class _Plain(nn.Module):
+    """A graph that answers with a plain tuple, since one with names cannot be saved.
+
+    Args:
+        predictor: the graph. An attribute called ``graph`` would clash with torch.fx's own.
+    """
+
+    def __init__(self, predictor: AlignmentGraph) -> None:
+        super().__init__()
+        self.predictor = predictor
+
+    def forward(
+        self, image: Tensor, edges: Tensor, K: Tensor, T_init: Tensor
+    ) -> tuple[Tensor, ...]:
+        """As :meth:`AlignmentGraph.forward`."""
+        return tuple(self.predictor(image, edges, K, T_init))
+
+
+def to_torch(graph: AlignmentGraph, arguments: tuple[Tensor, ...], out: Path) -> None:
+    """Write a graph as a program of ``torch.export``; the number of edges may differ.
+
+    Args:
+        graph: in evaluation mode.
+        arguments: of its forward, of the size that it is for.
+        out: the file.
+    """
+    shapes = {
+        "image": None,
+        "edges": {0: torch.export.Dim("edges", min=2)},
+        "K": None,
+        "T_init": None,
+    }
+    with torch.no_grad(), warnings.catch_warnings():
+        # Of weights that share memory, which they do not once they are saved.
+        warnings.simplefilter("ignore")
+        program = torch.export.export(
+            _Plain(graph).eval(), arguments, dynamic_shapes=shapes, strict=False
+        )
+        torch.export.save(program, out)
 
 
 def make_graph(
