@@ -70,8 +70,11 @@ def test_the_summary_says_what_is_guaranteed_and_what_more_frames_buy() -> None:
     module, _, _ = calibrated(ConformalCalibrator, 1)
     quantile = cast(CalibrationModule, module).calibrator.quantile(0.9)
     assert f"now ± X {100 * float(quantile[0]):.2f} cm" in text
-    # Rank 181 of 200 is the 46th of 50, as now; of the 50 themselves it is ⌈50·181/200⌉ = 46.
-    assert f"about ± X {100 * float(quantile[0]):.2f} cm" in text
+    # ⌈51·0.95⌉ = 49 of 50; of 200 it is 191, as the 48th of 50.
+    text = told(ConformalCalibrator, 1, [0.95])
+    scores = cast(CalibrationModule, module).calibrator.scores[:, 0]
+    assert f"now ± X {100 * float(scores[48]):.2f} cm" in text
+    assert f"with 200 frames about ± X {100 * float(scores[47]):.2f} cm" in text
 
 
 def test_of_the_hierarchical_method_drives_count() -> None:

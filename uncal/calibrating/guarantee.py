@@ -88,12 +88,11 @@ def summary(
             f"{level:.0%}: guaranteed on average; in 9 of 10 calibrations with {m} {what} the "
             f"coverage is {_percent(now)}, with {4 * m} {what} {_percent(then)}."
         )
-        lines.append(f"  now {_widths(module, scores, frames, level)}")
-        if not by_drive:
-            # A larger set needs a rank less far above the level: what its quantile tends to.
-            lines.append(
-                f"  with {4 * m} {what} about {_widths(module, scores, frames, level, 4 * m)}"
-            )
+        # A larger set needs a rank less far above the level.
+        now_wide, then_wide = (_widths(module, scores, frames, level, n) for n in (None, 4 * m))
+        lines.append(f"  now {now_wide}")
+        if not by_drive and then_wide != now_wide:
+            lines.append(f"  with {4 * m} {what} about {then_wide}")
     lines.append("This holds for decalibrations within the range, of frames or drives like these.")
     return lines
 

@@ -30,7 +30,7 @@ from uncal.recordings.frame import Frame, FrameId, Recording
 from uncal.reporting.layout import replaced_whole
 from uncal.uncertainty.conformal import ConformalCalibrator
 from uncal.uncertainty.hierarchical import HierarchicalCalibrator
-from uncal.uncertainty.quantile import samples_needed
+from uncal.uncertainty.quantile import miscoverage, samples_needed
 from uncal.weights.shipped import load_shipped
 
 log = logging.getLogger(__name__)
@@ -93,7 +93,7 @@ class References:
             ConfigurationError: names how many are needed.
         """
         n = len(set(self.drives)) if exchangeable == "drive" else len(self.drives)
-        needed = samples_needed(1 - level)
+        needed = samples_needed(miscoverage(level))
         if n < needed:
             hint = (
                 ", or set exchangeable=window, which promises coverage on drives like these only"
