@@ -27,7 +27,7 @@ from torch import Tensor
 from uncal.events.pixel_map import PixelMap
 from uncal.events.representations import Histogram, TimeSurface, VoxelGrid
 from uncal.events.stream import Events
-from uncal.memory import keep_freed_memory
+from uncal.system.memory import keep_freed_memory
 
 SIZE = (480, 640)
 WINDOW_US = 50_000

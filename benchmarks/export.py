@@ -19,18 +19,18 @@ import torch
 from hydra.utils import instantiate
 from torch import Tensor
 
-from uncal.assembly import build_module
-from uncal.checkpoint import load_weights, read_recipe
 from uncal.data.image_size import fit, resize_and_crop
 from uncal.data.network_input import NetworkInput
-from uncal.decalibration import DecalibrationRange, decalibrate
 from uncal.edges.selection import select_edges
 from uncal.edges.sweep import find_edges
 from uncal.exporting.graph import OUTPUTS, AlignmentGraph
 from uncal.exporting.writer import example, to_onnx
+from uncal.geometry.decalibration import DecalibrationRange, decalibrate
 from uncal.models.module import CalibrationModule
 from uncal.recordings.frame import Frame, FrameId
 from uncal.recordings.kitti import KittiRaw
+from uncal.runs.assembly import build_module
+from uncal.runs.checkpoint import load_weights, read_recipe
 from uncal.weights.shipped import find_weights
 
 LEVELS = [0.9, 0.95, 0.99]

@@ -24,8 +24,8 @@ from uncal.calibrating.first_extrinsic import (
     load_frames,
     rounds_of_network,
 )
-from uncal.decalibration import DecalibrationRange, decalibrate
-from uncal.geometry import DOF_NAMES, DOF_SCALE, matrix_to_pose
+from uncal.geometry.decalibration import DecalibrationRange, decalibrate
+from uncal.geometry.transforms import DOF_NAMES, DOF_SCALE, matrix_to_pose
 from uncal.monitor.evidence import EvidenceReader
 from uncal.monitor.references import find_references, fingerprint
 from uncal.monitor.settings import MonitorSettings

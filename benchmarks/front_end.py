@@ -21,13 +21,13 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from uncal.decalibration import DecalibrationRange
 from uncal.edges.evidence import project_edges
 from uncal.edges.image import edge_maps
 from uncal.edges.sweep import COLUMNS, KIND
-from uncal.memory import keep_freed_memory
+from uncal.geometry.decalibration import DecalibrationRange
 from uncal.models.alignment import LastRound
 from uncal.models.evidence import EvidenceNetwork
+from uncal.system.memory import keep_freed_memory
 
 SIZE = (80, 208)
 BATCH = 8

@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from uncal.data.culling import frustum_mask
-from uncal.decalibration import DecalibrationRange, decalibrate
-from uncal.memory import keep_freed_memory
-from uncal.projection import project
+from uncal.geometry.decalibration import DecalibrationRange, decalibrate
+from uncal.geometry.projection import project
 from uncal.recordings.kitti import KittiRaw
+from uncal.system.memory import keep_freed_memory
 
 BATCH = 8
 SIZE = (192, 640)

@@ -25,10 +25,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from uncal.configuration import CONFIG_DIR
 from uncal.recordings.frame import Frame
 from uncal.recordings.kitti import KittiRaw
 from uncal.settings.command_line import readable
+from uncal.settings.configuration import CONFIG_DIR
 
 Run = Callable[..., "subprocess.CompletedProcess[str]"]
 

@@ -16,14 +16,14 @@ from omegaconf import OmegaConf
 
 from uncal.calibrate import with_layout
 from uncal.calibrating.guarantee import choose_interval, possible_levels, summary
-from uncal.configuration import CONFIG_DIR
 from uncal.errors import RecordingError
 from uncal.models.module import CalibrationModule
-from uncal.models.prediction import SplitPrediction
+from uncal.models.split_prediction import SplitPrediction
 from uncal.recordings.frame import FrameId
 from uncal.recordings.layout_names import layout_of
 from uncal.recordings.plain_folder import PlainFolder
-from uncal.simulation.bag import drive_as_bag
+from uncal.settings.configuration import CONFIG_DIR
+from uncal.simulation.formats.bag import drive_as_bag
 from uncal.simulation.settings import SimulationSettings
 from uncal.simulation.writer import simulate
 from uncal.uncertainty import ConformalCalibrator, HierarchicalCalibrator, coverage_band

@@ -10,7 +10,8 @@ from unittest.mock import patch
 import pytest
 import yaml  # type: ignore[import-untyped]
 
-from uncal.configuration import CONFIG_DIR
+from uncal.__main__ import ENTRY_POINTS as LISTED
+from uncal.settings.configuration import CONFIG_DIR
 from uncal.settings.help_page import show_help
 
 ENTRY_POINTS = (
@@ -19,7 +20,7 @@ ENTRY_POINTS = (
 )
 HEAVY = (
     *("torch", "lightning", "transformers", "matplotlib", "scipy", "cv2", "pandas", "numpy"),
-    *("joblib", "submitit", "rosbags", "h5py", "uncal.assembly", "uncal.settings.check"),
+    *("joblib", "submitit", "rosbags", "h5py", "uncal.runs.assembly", "uncal.settings.check"),
 )
 
 
@@ -80,3 +81,19 @@ def test_the_page_is_a_page(name: str) -> None:
     assert "--cfg job" in text
     assert len(text.splitlines()) <= 50
     assert max(map(len, text.splitlines())) <= 100
+
+
+def test_the_package_itself_lists_what_can_be_started() -> None:
+    root = Path(__file__).parents[1]
+    started = {
+        ".".join(path.relative_to(root).with_suffix("").parts).removesuffix(".__main__")
+        for path in (root / "uncal").rglob("*.py")
+        if '\nif __name__ == "__main__":' in path.read_text(encoding="utf-8")
+    }
+    assert {f"uncal.{name}" for name in LISTED} == started - {"uncal"}
+    for words, code in (((), 0), (("--help",), 0), (("train", "seed=1"), 2)):
+        shown = subprocess.run(
+            [sys.executable, "-m", "uncal", *words], cwd=root, capture_output=True, text=True
+        )
+        assert shown.returncode == code
+        assert "python -m uncal.train " in shown.stdout

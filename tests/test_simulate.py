@@ -10,7 +10,7 @@ from typing import cast
 import pytest
 from omegaconf import OmegaConf
 
-from uncal.configuration import CONFIG_DIR
+from uncal.settings.configuration import CONFIG_DIR
 from uncal.simulate import main
 
 Run = Callable[..., "subprocess.CompletedProcess[str]"]

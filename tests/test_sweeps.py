@@ -9,8 +9,8 @@ from hydra import compose, initialize_config_dir
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
-from uncal.configuration import CONFIG_DIR
 from uncal.monitor.experiment.cases import ExperimentSettings
+from uncal.settings.configuration import CONFIG_DIR
 
 ROOT = Path(__file__).parents[1]
 SWEEPS = sorted(path.stem for path in (ROOT / "sweeps").glob("*.yaml"))

@@ -2,6 +2,7 @@
 
 import csv
 import math
+import re
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
@@ -12,8 +13,8 @@ from tensorboard.backend.event_processing.event_accumulator import (  # type: ig
     EventAccumulator,
 )
 
-from uncal.geometry import DOF_NAMES
-from uncal.uncertainty.conformal import ConformalCalibrator
+from uncal.geometry.transforms import DOF_NAMES
+from uncal.uncertainty.conformal.split_conformal import ConformalCalibrator
 
 Run = Callable[..., "subprocess.CompletedProcess[str]"]
 
@@ -195,6 +196,28 @@ def test_an_interrupted_run_says_how_to_go_on_and_its_checkpoint_loads(
     assert "interrupted" in stopped.stderr
     assert "stopped/checkpoints/last.ckpt" in stopped.stderr
     assert torch.load(last, weights_only=True)["epoch"] >= 0
+
+
+def test_a_training_that_diverges_ends_at_that_step_and_not_with_a_table(
+    make_workplace: Callable[[str], Path], start: Run, tiny: list[str], quick: list[str]
+) -> None:
+    place = make_workplace("diverging")
+    words = [*tiny, *quick, "trainer.max_epochs=30", "model.optimization.optimizer.lr=1e6"]
+    finished = start("uncal.train", *words, "hydra.run.dir=run", cwd=place)
+    assert finished.returncode == 1
+    # The solver may meet such numbers before the loss is one.
+    what = r"the loss is (nan|-?inf)|the normal equations are not finite"
+    where = rf"diverges: ({what}) at step \d+ \(epoch \d+ of 30\), learning rate [\d.e+]+ there"
+    assert re.search(where, finished.stderr)
+    last = place / "run" / "checkpoints" / "last.ckpt"
+    if last.is_file():
+        assert f"The last good checkpoint is {last}" in finished.stderr
+        assert torch.load(last, weights_only=True)["epoch"] >= 0
+    else:
+        assert "No epoch had ended" in finished.stderr
+    assert "Traceback" not in finished.stderr
+    assert not (place / "run" / "results.csv").exists()
+    assert not list((place / "outputs" / "trained").glob("*/best.ckpt"))
 
 
 @pytest.mark.parametrize("key", ["mcd.passs=5", "dataset.rot=data", "trainer.max_epoch=1"])

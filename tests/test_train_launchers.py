@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from uncal.geometry import DOF_NAMES
+from uncal.geometry.transforms import DOF_NAMES
 
 pytestmark = pytest.mark.slow
 
@@ -20,8 +20,13 @@ SWEPT = ("-m", "mcd.passes=2,0,3")
 
 @pytest.mark.parametrize(
     "launcher",
-    [("hydra/launcher=joblib", "hydra.launcher.n_jobs=2"), ("hydra/launcher=submitit_local",)],
-    ids=["joblib", "submitit_local"],
+    [
+        ("hydra/launcher=joblib", "hydra.launcher.n_jobs=2"),
+        # Jobs that start processes of their own, to load frames.
+        ("hydra/launcher=joblib", "hydra.launcher.n_jobs=2", "dataset.loader.workers=2"),
+        ("hydra/launcher=submitit_local",),
+    ],
+    ids=["joblib", "joblib and loading processes", "submitit_local"],
 )
 def test_parallel_jobs_end_as_those_in_turn_do(
     launcher: tuple[str, ...],

@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING, cast
 import hydra
 from hydra import compose
 from hydra.core.hydra_config import HydraConfig
+from hydra.errors import HydraException
 from omegaconf import DictConfig
 
-from uncal.configuration import CONFIG_DIR, exits_on_error, quiet_libraries
 from uncal.errors import ConfigurationError
 from uncal.settings.command_line import quote_arguments
+from uncal.settings.configuration import CONFIG_DIR, exits_on_error, quiet_libraries
 from uncal.settings.help_page import show_help
 
 if TYPE_CHECKING:
@@ -30,25 +31,34 @@ def main(config: DictConfig) -> None:
     # Here and not above: they take seconds, which --help has no use for.
     import torch
 
-    from uncal.assembly import build_module
     from uncal.benchmarking.latency import measure_latency
     from uncal.benchmarking.made_up import made_up
     from uncal.benchmarking.tables import write_latency, write_trade
     from uncal.benchmarking.trade import measure_trade
-    from uncal.memory import keep_freed_memory
     from uncal.models.answer import Estimator
+    from uncal.runs.assembly import build_module
+    from uncal.runs.checkpoint import read_recipe
     from uncal.settings.check import check_settings
+    from uncal.system.memory import keep_freed_memory
 
     keep_freed_memory()
     quiet_libraries()
     check_settings(config)
+    if config.ckpt is not None:  # before minutes are measured
+        read_recipe(Path(config.ckpt))
+        if config.data_root is not None and not Path(config.data_root).is_dir():
+            raise ConfigurationError(f"data_root={config.data_root}: no such folder")
     folder = Path(HydraConfig.get().runtime.output_dir)
     device = pick_device(config.device)
     compiled = device.type == "cuda" if config.compile == "auto" else bool(config.compile)
     where = f"{device_name(device)}, {torch.get_num_threads()} threads, torch {torch.__version__}"
     rows, text = [], ""
     for case in filter(None, (config.cases or {}).values()):
-        model = compose("train", overrides=[*case.model, "mcd.chunk=auto"])
+        try:
+            model = compose("train", overrides=[*case.model, "mcd.chunk=auto"])
+        except HydraException as error:
+            reason = str(error).splitlines()[0]
+            raise ConfigurationError(f"cases: model={list(case.model)}: {reason}") from error
         estimator = cast(Estimator, build_module(model).to(device).eval().estimator)
         for batch in case.batches:
             inputs = made_up(tuple(case.size), batch, int(model.model.inputs.edges), device)
@@ -82,7 +92,7 @@ def pick_device(name: str) -> torch.device:
     """
     import torch
 
-    from uncal.inference_settings import choice
+    from uncal.inference.inference_settings import choice
 
     choice("device", name, ("auto", "cpu", "cuda"))
     if name == "cuda" and not torch.cuda.is_available():

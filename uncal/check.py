@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from uncal.configuration import exits_on_error, quiet_libraries
+from uncal.settings.configuration import exits_on_error, quiet_libraries
 
 DESCRIPTION = """\
 Looks for the usual mistakes in recordings of any supported layout (KITTI raw, KITTI odometry, DSEC,
@@ -47,6 +47,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
         raise SystemExit(1)
 
 
+def at_least_one(text: str) -> int:
+    """A count on the command line."""
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"{text}: expected a whole number of at least 1")
+    return int(text)
+
+
 def parser() -> argparse.ArgumentParser:
     """The command line."""
     command_line = argparse.ArgumentParser(
@@ -63,7 +70,10 @@ def parser() -> argparse.ArgumentParser:
         help="image folder, side of an event camera, or topic (default: the first recorded)",
     )
     command_line.add_argument(
-        "--frames", type=int, default=8, help="frames of each drive to compare (default: 8)"
+        "--frames",
+        type=at_least_one,
+        default=8,
+        help="frames of each drive to compare (default: 8)",
     )
     command_line.add_argument(
         "--overlays",

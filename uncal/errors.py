@@ -33,3 +33,15 @@ class RotationError(RecordingError):
 
 class NothingPaired(RecordingError):
     """A recording of which no frame has both an image (or events) and a scan."""
+
+
+class UncertaintyError(UncalError, ValueError):
+    """These numbers, or this predictor, allow no valid interval."""
+
+
+class NotCalibratedError(UncertaintyError, RuntimeError):
+    """Intervals were asked for before the calibrator was fitted or loaded."""
+
+
+class PredictorMismatchError(UncertaintyError):
+    """The predictor is not the one whose scores the calibrator holds."""

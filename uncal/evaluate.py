@@ -9,9 +9,9 @@ import hydra
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from uncal.configuration import CONFIG_DIR, exits_on_error, quiet_libraries
 from uncal.errors import ConfigurationError
 from uncal.settings.command_line import quote_arguments
+from uncal.settings.configuration import CONFIG_DIR, exits_on_error, quiet_libraries
 from uncal.settings.help_page import show_help
 
 log = logging.getLogger(__name__)
@@ -31,12 +31,12 @@ def main(config: DictConfig) -> float:
     # Here and not above: they take seconds, which --help has no use for.
     import lightning
 
-    from uncal.asked import with_settings_of
-    from uncal.assembly import RECIPE, build_data, build_module, build_trainer, say_simulated
-    from uncal.checkpoint import read_recipe
-    from uncal.memory import keep_freed_memory
-    from uncal.runs import finished_earlier, make_record, weights_to_report
+    from uncal.runs.assembly import RECIPE, build_data, build_module, build_trainer, say_simulated
+    from uncal.runs.checkpoint import read_recipe
+    from uncal.runs.evaluation_settings import with_settings_of
+    from uncal.runs.weights_to_report import finished_earlier, make_record, weights_to_report
     from uncal.settings.check import check_settings, refuse_values
+    from uncal.system.memory import keep_freed_memory
     from uncal.weights.digest import digest_of_file
     from uncal.weights.obtain import Weights
     from uncal.weights.store import CHECKPOINT

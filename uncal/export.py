@@ -8,8 +8,8 @@ from pathlib import Path
 import hydra
 from omegaconf import DictConfig
 
-from uncal.configuration import CONFIG_DIR, exits_on_error, quiet_libraries
 from uncal.settings.command_line import quote_arguments
+from uncal.settings.configuration import CONFIG_DIR, exits_on_error, quiet_libraries
 from uncal.settings.help_page import show_help
 
 log = logging.getLogger(__name__)

@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
 
-from uncal.configuration import exits_on_error, quiet_libraries
 from uncal.errors import UncalError
+from uncal.settings.configuration import exits_on_error, quiet_libraries
 
 DESCRIPTION = """\
 Shows one or several runs next to the paper's Table 1 and Table 2 (WACV 2025): intervals, MC dropout

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from uncal.models.control import ControlPrediction
-    from uncal.models.prediction import SplitPrediction
+    from uncal.inference.control import ControlPrediction
+    from uncal.models.split_prediction import SplitPrediction
     from uncal.reporting.measure import Results
 
 

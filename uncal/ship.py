@@ -8,8 +8,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
-from uncal.configuration import exits_on_error
 from uncal.errors import ConfigurationError
+from uncal.settings.configuration import exits_on_error
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig

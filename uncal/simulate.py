@@ -10,8 +10,8 @@ from typing import cast
 import hydra
 from omegaconf import DictConfig, OmegaConf
 
-from uncal.configuration import CONFIG_DIR, exits_on_error
 from uncal.settings.command_line import quote_arguments
+from uncal.settings.configuration import CONFIG_DIR, exits_on_error
 from uncal.settings.help_page import show_help
 
 log = logging.getLogger(__name__)

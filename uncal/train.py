@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 import hydra
 from omegaconf import DictConfig
 
-from uncal.configuration import CONFIG_DIR, exits_on_error, job_folder, quiet_libraries
 from uncal.errors import ConfigurationError, UncalError
 from uncal.settings.command_line import quote_arguments
+from uncal.settings.configuration import CONFIG_DIR, exits_on_error, job_folder, quiet_libraries
 from uncal.settings.help_page import show_help
 
 if TYPE_CHECKING:
@@ -37,11 +37,11 @@ def main(config: DictConfig) -> float:
     # Here and not above: they take seconds, which --help has no use for.
     import lightning
 
-    from uncal.assembly import build_data, build_module, build_trainer, say_simulated
-    from uncal.checkpoint import check_start, last_checkpoint, read_recipe, start_from
-    from uncal.memory import keep_freed_memory
-    from uncal.runs import finished_earlier, make_record, weights_to_report
+    from uncal.runs.assembly import build_data, build_module, build_trainer, say_simulated
+    from uncal.runs.checkpoint import check_start, last_checkpoint, read_recipe, start_from
+    from uncal.runs.weights_to_report import finished_earlier, make_record, weights_to_report
     from uncal.settings.check import check_settings
+    from uncal.system.memory import keep_freed_memory
     from uncal.weights.ingredients import data_ingredients, training_ingredients
     from uncal.weights.kept import stays_trained
     from uncal.weights.obtain import Weights, obtain
@@ -129,16 +129,22 @@ def fit(
     """Train, from nothing or from a checkpoint.
 
     Raises:
-        UncalError: interrupted, stopped by an error, or no checkpoint was written.
+        UncalError: interrupted, diverged, stopped by an error, or no checkpoint was written.
     """
-    from uncal.checkpoint import save_weights
+    import torch
+
+    from uncal.callbacks.divergence import diverged
     from uncal.errors import DivergenceError
+    from uncal.runs.checkpoint import save_weights
     from uncal.weights.kept import how_to_finish
 
     try:
         trainer.fit(module, datamodule=data, ckpt_path=start)
     except DivergenceError:
         raise
+    except torch.linalg.LinAlgError as error:
+        # Before a loss is NaN: the solver adds a prior, so that only such numbers stop it.
+        raise diverged(trainer, "the normal equations are not finite") from error
     except UncalError as error:
         if trainer.global_step == 0 or not trainer.is_global_zero:
             raise
@@ -150,9 +156,17 @@ def fit(
             f"interrupted; go on after the last finished epoch with {continuation}"
         ) from stop
     path = getattr(trainer.checkpoint_callback, "best_model_path", "")
-    if not path:
-        raise UncalError("no checkpoint was written: keep callbacks.checkpoint and a validation")
-    return Path(str(path))
+    if path:
+        return Path(str(path))
+    if trainer.global_step == 0:
+        raise UncalError("not one step of training: none of its frames can be read")
+    kept = job_folder() / "checkpoints" / "stopped.ckpt"
+    if trainer.is_global_zero:
+        save_weights(module, kept)
+    raise UncalError(
+        "the training ended before its first validation (trainer.max_steps, trainer.max_time), so "
+        f"that no epoch is known to be the best.\n{how_to_finish(kept)}"
+    )
 
 
 def fit_or_resume(
@@ -168,7 +182,7 @@ def fit_or_resume(
     """
     from lightning.pytorch.callbacks import ModelCheckpoint
 
-    from uncal.checkpoint import last_checkpoint
+    from uncal.runs.checkpoint import last_checkpoint
 
     if start is not None:
         for callback in trainer.checkpoint_callbacks:

@@ -4,10 +4,10 @@ import pytest
 import torch
 from hydra import compose, initialize_config_dir
 
-from uncal.assembly import build_module
 from uncal.benchmarking.made_up import made_up
-from uncal.configuration import CONFIG_DIR
 from uncal.models.answer import Estimator
+from uncal.runs.assembly import build_module
+from uncal.settings.configuration import CONFIG_DIR
 
 
 @pytest.mark.parametrize("case", ["demo", "xxs"])

@@ -17,14 +17,14 @@ from uncal.callbacks.uncertainty_calibration import UncertaintyCalibration
 from uncal.data.augmentation import Augmentation
 from uncal.data.datamodule import CalibrationDataModule, LoaderSettings
 from uncal.data.network_input import InputSettings
-from uncal.data.split_settings import SplitSettings
-from uncal.decalibration import DecalibrationRange
 from uncal.errors import ConfigurationError
 from uncal.geometry import DOF_NAMES
+from uncal.geometry.decalibration import DecalibrationRange
 from uncal.models.estimator import PoseEstimator
 from uncal.models.module import CalibrationModule
 from uncal.recordings.kitti import KittiRaw
 from uncal.run_state import RunState
+from uncal.splits.split_settings import SplitSettings
 from uncal.uncertainty import ConformalCalibrator, MCDropout
 
 # So few frames make infinite intervals.

@@ -21,15 +21,15 @@ from uncal.data.augmentation import Augmentation
 from uncal.data.datamodule import CalibrationDataModule, LoaderSettings
 from uncal.data.dataset import Sample
 from uncal.data.network_input import InputSettings
-from uncal.data.split_settings import SplitSettings
-from uncal.decalibration import DecalibrationRange, decalibrate
 from uncal.errors import ConfigurationError
 from uncal.geometry import DOF_NAMES, invert, matrix_to_pose, pose_to_matrix
+from uncal.geometry.decalibration import DecalibrationRange, decalibrate
 from uncal.models.estimator import PoseEstimator
 from uncal.models.module import CalibrationModule
-from uncal.models.prediction import SplitPrediction
+from uncal.models.split_prediction import SplitPrediction
 from uncal.recordings.kitti import KittiRaw
 from uncal.reporting.overlay import overlay_panel
+from uncal.splits.split_settings import SplitSettings
 from uncal.uncertainty import ConformalCalibrator, MCDropout
 
 RANGE = DecalibrationRange(1.0, 10.0)

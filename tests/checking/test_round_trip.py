@@ -12,7 +12,7 @@ import numpy as np
 from uncal.checking.check import check
 from uncal.recordings.kitti import KittiRaw
 from uncal.recordings.plain_folder import PlainFolder
-from uncal.simulation.bag import drive_as_bag
+from uncal.simulation.formats.bag import drive_as_bag
 
 
 def test_bag_convert_check(kitti_like: Path, tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from uncal.geometry import DOF_NAMES
-from uncal.models.control import ControlPrediction
+from uncal.inference.control import ControlPrediction
 from uncal.recordings.frame import FrameId
 from uncal.reporting.measure import measure
 from uncal.reporting.report import write_report

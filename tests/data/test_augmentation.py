@@ -5,7 +5,7 @@ from uncal.data.dataset import Batch
 from uncal.edges.evidence import project_edges
 from uncal.edges.sweep import COLUMNS, KIND, KINDS, N_ACROSS, SIDE
 from uncal.geometry import pose_to_matrix
-from uncal.projection import project
+from uncal.geometry.projection import project
 from uncal.recordings.frame import FrameId
 
 CAMERA_FROM_LIDAR = torch.tensor([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])

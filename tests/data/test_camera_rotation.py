@@ -11,7 +11,7 @@ from uncal.data.camera_rotation import margins, rotate_cameras
 from uncal.data.dataset import Batch
 from uncal.errors import ConfigurationError
 from uncal.geometry import transform_points
-from uncal.projection import pixel_coordinates
+from uncal.geometry.projection import pixel_coordinates
 from uncal.recordings.frame import FrameId
 
 ONE = math.radians(1.0)

@@ -10,11 +10,11 @@ from uncal.data.augmentation import Augmentation
 from uncal.data.datamodule import CalibrationDataModule, LoaderSettings
 from uncal.data.dataset import Sample, SkippedFrame, collate
 from uncal.data.network_input import InputSettings, NetworkInput
-from uncal.data.split_settings import SplitSettings
-from uncal.data.splits import SPLITS
-from uncal.decalibration import DecalibrationRange
-from uncal.projection import project
+from uncal.geometry.decalibration import DecalibrationRange
+from uncal.geometry.projection import project
 from uncal.recordings.kitti import KittiRaw
+from uncal.splits.split_settings import SplitSettings
+from uncal.splits.splits import SPLITS
 
 INPUTS = InputSettings(
     channels=["rgb", "inverse_depth", "intensity"],
@@ -87,7 +87,7 @@ def test_culling_leaves_the_projection_of_every_decalibration_unchanged(
             whole = torch.from_numpy(data.recording.load(frame_id).points)[None]
             assert sample.points.shape[0] < whole.shape[1]
             for corner in torch.cartesian_prod(*[torch.tensor([-1.0, 1.0])] * 6)[::5]:
-                from uncal.decalibration import decalibrate
+                from uncal.geometry.decalibration import decalibrate
 
                 T = decalibrate(sample.T_cam_lidar, corner * bounds)[None]
                 culled = project(sample.points[None], T, sample.K[None], (64, 96))

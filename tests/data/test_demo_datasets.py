@@ -9,11 +9,11 @@ from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
-from uncal.assembly import build_data
-from uncal.configuration import CONFIG_DIR
-from uncal.data.splits import SPLITS, UNITS
 from uncal.recordings.frame import FrameId
+from uncal.runs.assembly import build_data
+from uncal.settings.configuration import CONFIG_DIR
 from uncal.simulation.settings import SimulationSettings
+from uncal.splits.splits import SPLITS, UNITS
 
 TINY = [
     "dataset.simulation.frames_per_drive=1",

@@ -8,12 +8,12 @@ from torch import Tensor
 
 from uncal.data.dataset import FrameDataset, Sample, SkippedFrame, collate
 from uncal.data.image_size import fit, resize_and_crop
-from uncal.data.windows import units_of
-from uncal.decalibration import DecalibrationRange
 from uncal.events.pixel_map import PixelMap
 from uncal.events.representations import EventRepresentation, Histogram, VoxelGrid
 from uncal.events.stream import Events
+from uncal.geometry.decalibration import DecalibrationRange
 from uncal.recordings.frame import Frame, FrameId
+from uncal.splits.windows import units_of
 
 K = np.array([[90.0, 0.0, 51.3], [0.0, 88.0, 29.1], [0.0, 0.0, 1.0]])
 T = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])

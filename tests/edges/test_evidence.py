@@ -4,7 +4,6 @@ import pytest
 import torch
 from torch import Tensor
 
-from uncal.decalibration import correct
 from uncal.edges.evidence import (
     gaussian_factors,
     offsets_of,
@@ -16,6 +15,7 @@ from uncal.edges.evidence import (
 )
 from uncal.edges.sweep import COLUMNS, KIND, KINDS
 from uncal.geometry import pose_to_matrix
+from uncal.geometry.decalibration import correct
 
 K = torch.tensor([[60.0, 0.0, 30.2], [0.0, 58.0, 19.6], [0.0, 0.0, 1.0]])
 T = torch.tensor([[0.0, -1, 0, 0.1], [0, 0, -1, -0.2], [1, 0, 0, 0.3], [0, 0, 0, 1]])

@@ -11,8 +11,6 @@ import pytest
 import torch
 from torch import Tensor
 
-from uncal.assembly import build_module
-from uncal.checkpoint import load_weights, read_recipe
 from uncal.data.network_input import InputSettings, NetworkInput
 from uncal.edges.sweep import COLUMNS, find_edges
 from uncal.errors import ConfigurationError
@@ -21,6 +19,8 @@ from uncal.exporting.graph import AlignmentGraph
 from uncal.exporting.writer import example, to_torch, write_graph
 from uncal.models.module import CalibrationModule
 from uncal.recordings.frame import FrameId
+from uncal.runs.assembly import build_module
+from uncal.runs.checkpoint import load_weights, read_recipe
 from uncal.uncertainty import ConformalCalibrator, HierarchicalCalibrator
 from uncal.weights.shipped import find_weights
 

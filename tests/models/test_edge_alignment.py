@@ -5,11 +5,11 @@ import torch
 from torch import Tensor
 
 from uncal.data.network_input import NetworkInput
-from uncal.decalibration import DecalibrationRange, decalibrate
 from uncal.edges.image import blurred
 from uncal.edges.sweep import COLUMNS, KIND, STRENGTH
 from uncal.errors import ConfigurationError, UncalError
 from uncal.geometry import invert, transform_points
+from uncal.geometry.decalibration import DecalibrationRange, decalibrate
 from uncal.models.answer import Answer
 from uncal.models.edge_alignment import EdgeAlignment, EdgeAlignmentEstimator, score
 from uncal.models.pose_search import SearchSettings
@@ -85,7 +85,15 @@ def rows(whole: NetworkInput, first: int, last: int) -> NetworkInput:
 
 def estimator(settings: SearchSettings = SETTINGS) -> EdgeAlignmentEstimator:
     network = EdgeAlignment(
-        3, 3, "mean", 15, [1.0, 0.5, 0.3, 1.0, 0.3, 0.3], [0.75, 0.37, 0.2], [3, 3, 3], [0.3] * 3
+        3,
+        3,
+        "mean",
+        15,
+        kinds=[1.0, 0.5, 0.3, 1.0, 0.3, 0.3],
+        blur_deg=[0.75, 0.37, 0.2],
+        rounds=[3, 3, 3],
+        sharpness=[0.3] * 3,
+        every=[1, 1, 1],
     )
     return EdgeAlignmentEstimator(network, RANGE.bounds, settings)
 
@@ -182,4 +190,4 @@ def test_settings_are_checked() -> None:
     with pytest.raises(ConfigurationError, match="samples=4"):
         SearchSettings(samples=4, effective=8, widening=1.3)
     with pytest.raises(ConfigurationError, match="as many of each"):
-        EdgeAlignment(3, 3, "mean", 15, [1.0] * 6, [0.7, 0.3], [4], [0.3])
+        EdgeAlignment(3, 3, "mean", 15, [1.0] * 6, [0.7, 0.3], [4], [0.3], [1])

@@ -1,16 +1,16 @@
 import torch
 from torch import Tensor
 
-from uncal.decalibration import DecalibrationRange, decalibrate
-from uncal.displacement import displacement_jacobian, true_displacement
 from uncal.geometry import invert, pose_to_matrix, transform_points
+from uncal.geometry.decalibration import DecalibrationRange, decalibrate
+from uncal.geometry.displacement import displacement_jacobian, true_displacement
+from uncal.geometry.projection import pixel_coordinates, project
 from uncal.models.geometric import (
     GeometricSolver,
     GridPoints,
     PointGeometry,
     grid_points,
 )
-from uncal.projection import pixel_coordinates, project
 
 RANGE = DecalibrationRange(rotation_deg=1.0, translation_cm=10.0)
 CAMERA_FROM_LIDAR = torch.tensor(

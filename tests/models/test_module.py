@@ -9,10 +9,10 @@ from torch import Tensor, nn
 from torch.utils.data import DataLoader
 
 from uncal.data.network_input import NetworkInput
-from uncal.decalibration import DecalibrationRange
 from uncal.edges.sweep import COLUMNS, KIND, KINDS
 from uncal.errors import ConfigurationError
 from uncal.geometry import DOF_NAMES
+from uncal.geometry.decalibration import DecalibrationRange
 from uncal.models.alignment import AlignmentEstimator, LearningSettings
 from uncal.models.answer import Estimator
 from uncal.models.estimator import PoseEstimator
@@ -21,11 +21,11 @@ from uncal.models.heads import DisplacementHead, PoseHead, QuantileHead
 from uncal.models.losses import displacement_loss, pose_loss, relative_error
 from uncal.models.mobilevit import MobileViT
 from uncal.models.module import CalibrationModule
-from uncal.models.prediction import SPREADS, SplitPrediction, frame_seed, pass_names
+from uncal.models.split_prediction import SPREADS, SplitPrediction, frame_seed, pass_names
 from uncal.models.unical import UniCal
 from uncal.recordings.frame import FrameId
 from uncal.uncertainty import ConformalCalibrator, MCDropout
-from uncal.uncertainty.pass_memory import PassMemory
+from uncal.uncertainty.dropout.pass_memory import PassMemory
 
 RANGE = DecalibrationRange(rotation_deg=1.0, translation_cm=10.0)
 

@@ -7,7 +7,6 @@ import torch
 from torch import Tensor, nn
 
 from uncal.data.network_input import NetworkInput
-from uncal.decalibration import DecalibrationRange, decalibrate
 from uncal.edges.evidence import (
     ProjectedEdges,
     offsets_of,
@@ -18,6 +17,7 @@ from uncal.edges.evidence import (
 )
 from uncal.edges.sweep import COLUMNS, KIND, KINDS, STRENGTH
 from uncal.errors import ConfigurationError
+from uncal.geometry.decalibration import DecalibrationRange, decalibrate
 from uncal.models.alignment import (
     BEYOND,
     PRIOR,

@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 from omegaconf import OmegaConf
 
-from uncal.configuration import CONFIG_DIR
 from uncal.monitor.run_folder import COLUMNS
 from uncal.monitor.verdict import VERDICTS
+from uncal.settings.configuration import CONFIG_DIR
 from uncal.simulation.settings import SimulationSettings
 from uncal.simulation.writer import simulate
 

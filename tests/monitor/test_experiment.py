@@ -14,7 +14,6 @@ import torch
 from hydra import compose, initialize_config_dir
 from omegaconf import DictConfig, OmegaConf
 
-from uncal.configuration import CONFIG_DIR
 from uncal.edges.evidence import pack
 from uncal.errors import ConfigurationError
 from uncal.geometry import DOF_NAMES, pose_to_matrix
@@ -28,6 +27,7 @@ from uncal.monitor.statistics import STATISTICS
 from uncal.monitor.verdict import Verdict
 from uncal.recordings.frame import Frame, FrameId
 from uncal.recordings.kitti import KittiRaw
+from uncal.settings.configuration import CONFIG_DIR
 from uncal.simulation.cache import ensure_simulated
 from uncal.weights.shipped import find_weights
 

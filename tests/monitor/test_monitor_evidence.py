@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 import torch
 
-from uncal.assembly import build_module
-from uncal.checkpoint import save_weights
 from uncal.data.dataset import collate
 from uncal.data.network_input import make_input
 from uncal.edges.evidence import pack, unpack
 from uncal.models.alignment import PRIOR, AlignmentEstimator
 from uncal.monitor.evidence import EvidenceReader, _beyond
 from uncal.recordings.frame import Frame, FrameId
+from uncal.runs.assembly import build_module
+from uncal.runs.checkpoint import save_weights
 from uncal.settings.shipped import shipped_config
 
 T = np.array([[0.0, -1, 0, 0.05], [0, 0, -1, -0.08], [1, 0, 0, -0.27], [0, 0, 0, 1]])

@@ -14,13 +14,13 @@ from hydra.core.utils import JobReturn, JobStatus
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
-from uncal.configuration import CONFIG_DIR, exits_on_error
 from uncal.errors import ConfigurationError, UncalError
 from uncal.geometry import DOF_NAMES
 from uncal.multirun.callback import MultirunSummary, failure
 from uncal.multirun.jobs import read_jobs
 from uncal.reporting.frames import RESULTS
 from uncal.reporting.layout import csv_text
+from uncal.settings.configuration import CONFIG_DIR, exits_on_error
 
 
 class CannotTravelError(Exception):

@@ -8,8 +8,8 @@ import pytest
 from hydra import compose, initialize_config_dir
 from omegaconf import DictConfig, open_dict
 
-from uncal.configuration import CONFIG_DIR
 from uncal.multirun.plan import planned_jobs, share_cores, threads_per_job
+from uncal.settings.configuration import CONFIG_DIR
 
 
 def multirun(*arguments: str, **params: str) -> DictConfig:

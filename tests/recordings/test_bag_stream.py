@@ -10,7 +10,7 @@ from uncal.errors import ConfigurationError, RecordingError
 from uncal.recordings.bag_conversion import write_folder
 from uncal.recordings.bag_stream import BagStream
 from uncal.recordings.plain_folder import PlainFolder
-from uncal.simulation.bag import write_bag
+from uncal.simulation.formats.bag import write_bag
 
 T_CAM_LIDAR = np.array([[0.0, -1, 0, 0.1], [0, 0, -1, 0.2], [1, 0, 0, 0.3], [0, 0, 0, 1]])
 K = np.array([[50.0, 0, 31.5], [0, 50.0, 23.5], [0, 0, 1]])

@@ -9,7 +9,6 @@ import yaml  # type: ignore[import-untyped]
 from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 
-from uncal.configuration import CONFIG_DIR
 from uncal.errors import (
     CalibrationMissing,
     ConfigurationError,
@@ -22,6 +21,7 @@ from uncal.recordings.frame import Recording
 from uncal.recordings.plain_folder import PlainFolder
 from uncal.recordings.point_files import read_point_file
 from uncal.settings.check import refuse_values
+from uncal.settings.configuration import CONFIG_DIR
 
 SIZE = (48, 64)
 T = np.array([[0.0, -1, 0, 0.1], [0, 0, -1, 0.2], [1, 0, 0, 0.3], [0, 0, 0, 1]])

@@ -11,7 +11,7 @@ import torch
 import yaml  # type: ignore[import-untyped]
 from scipy.spatial.transform import Rotation  # type: ignore[import-untyped]
 
-from uncal.geometry import euler_to_matrix, matrix_to_pose, pose_to_matrix
+from uncal.geometry.transforms import euler_to_matrix, matrix_to_pose, pose_to_matrix
 from uncal.recordings.static_transform import StaticTransform
 
 AHEAD = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])

@@ -7,8 +7,8 @@ import pytest
 from numpy.typing import NDArray
 
 from uncal.data.dataset import FrameDataset, Sample
-from uncal.decalibration import DecalibrationRange
 from uncal.errors import FrameError
+from uncal.geometry.decalibration import DecalibrationRange
 from uncal.recordings.kitti import KittiRaw
 from uncal.recordings.motion import REVOLUTION_S, read_oxts, untwisted
 

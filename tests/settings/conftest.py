@@ -10,7 +10,7 @@ import pytest
 from hydra import compose, initialize_config_dir
 from omegaconf import DictConfig, OmegaConf, open_dict
 
-from uncal.configuration import CONFIG_DIR
+from uncal.settings.configuration import CONFIG_DIR
 from uncal.settings.shipped import shipped_config
 
 Configured = Callable[..., tuple[DictConfig, DictConfig]]

@@ -16,11 +16,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from omegaconf import DictConfig, OmegaConf, open_dict
 
-from uncal.assembly import build_module, build_trainer, check_pairing
-from uncal.configuration import CONFIG_DIR
 from uncal.errors import UncalError
 from uncal.recordings.frame import FrameId
+from uncal.runs.assembly import build_module, build_trainer, check_pairing
 from uncal.settings.check import refuse_values
+from uncal.settings.configuration import CONFIG_DIR
 from uncal.settings.guard import names_the_setting
 from uncal.settings.readers import refuse_unread
 from uncal.settings.shipped import shipped_config

@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 from omegaconf import DictConfig, OmegaConf
 
-from uncal.configuration import CONFIG_DIR
 from uncal.errors import ConfigurationError
 from uncal.settings.bounds import BOUNDS
 from uncal.settings.check import refuse_removed, refuse_values
+from uncal.settings.configuration import CONFIG_DIR
 
 Configured = Callable[..., tuple[DictConfig, DictConfig]]
 
@@ -99,6 +99,8 @@ def test_all_faults_are_named_at_once_with_value_and_what_was_expected(
         (["dataset.recording.camera=5"], "KittiRaw expects str"),
         (["mcd.insert={after: Linear, p: 2}"], r"insert.p=2: expected a number above 0"),
         (["model.network.widths=[a]"], "widths.*: expected a list"),
+        (["trainer.limit_val_batches=0"], "limit_val_batches=0: expected a number above 0"),
+        (["trainer.fast_dev_run=true"], "fast_dev_run: keeps no checkpoint"),
     ],
 )
 def test_refusals(configured: Configured, words: list[str], said: str) -> None:
@@ -109,7 +111,7 @@ def test_refusals(configured: Configured, words: list[str], said: str) -> None:
 @pytest.mark.parametrize(
     ("choices", "words"),
     [
-        ([], ["callbacks.overlays=null", "logger=null", "store=null"]),
+        ([], ["callbacks.overlays=null", "logger=null", "store=null", "model.start=null"]),
         ([], ["trainer.gradient_clip_val=null", "trainer.devices=auto", "trainer.precision=16"]),
         ([], ["split.test=unseen", "split.fractions=[0.7,0.15,0.15,0.0]", "trainer.devices=[0]"]),
         ([], ["mcd.insert={after: [Linear], p: 0.1}", "mcd.chunk=null", "mcd.layers=[head]"]),
@@ -158,5 +160,8 @@ def test_every_bound_is_of_a_key_that_ships() -> None:
         assert known, key
 
 
-NOT_IN_YAML = {"mcd.insert.after", "mcd.insert.exclude", "mcd.insert.p", "dataset.focal_px"}
+NOT_IN_YAML = {
+    *("mcd.insert.after", "mcd.insert.exclude", "mcd.insert.p", "dataset.focal_px"),
+    "trainer.limit_*_batches",
+}
 """Keys under one that ships as null, or that an evaluation sets."""

@@ -10,8 +10,8 @@ from hydra import compose, initialize_config_dir
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from uncal.configuration import CONFIG_DIR
 from uncal.errors import ConfigurationError
+from uncal.settings.configuration import CONFIG_DIR
 from uncal.settings.readers import refuse_unread
 from uncal.settings.shipped import shipped_config, shipped_for_this_job
 

@@ -7,7 +7,7 @@ from typing import cast
 import pytest
 from omegaconf import OmegaConf
 
-from uncal.configuration import CONFIG_DIR
+from uncal.settings.configuration import CONFIG_DIR
 from uncal.simulation.settings import SimulationSettings
 from uncal.simulation.writer import simulate
 

@@ -9,9 +9,9 @@ import pytest
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
-from uncal.configuration import CONFIG_DIR
 from uncal.errors import ConfigurationError
-from uncal.simulation.layout import layout_of
+from uncal.settings.configuration import CONFIG_DIR
+from uncal.simulation.formats.layouts import layout_of
 from uncal.simulation.settings import SimulationSettings
 
 MakeSettings = Callable[..., SimulationSettings]

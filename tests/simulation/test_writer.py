@@ -12,10 +12,10 @@ import pytest
 
 from uncal.errors import ConfigurationError, RecordingError
 from uncal.simulation import writer
-from uncal.simulation.kitti_layout import KittiLayout
-from uncal.simulation.rig import draw_rig
+from uncal.simulation.formats.kitti_folder import KittiLayout
+from uncal.simulation.scene.trajectory import drive_speed
+from uncal.simulation.sensors.rig import draw_rig
 from uncal.simulation.settings import SimulationSettings
-from uncal.simulation.trajectory import drive_speed
 from uncal.simulation.writer import simulate
 
 MakeSettings = Callable[..., SimulationSettings]

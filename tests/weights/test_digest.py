@@ -8,7 +8,6 @@ from torch import nn
 
 from uncal.weights import digest
 from uncal.weights.digest import (
-    APART,
     INFERENCE_CODE,
     PACKAGE,
     TRAINING_CODE,
@@ -94,29 +93,35 @@ def test_one_byte_of_a_file_counts(tmp_path: Path) -> None:
     assert digest_of_file(tmp_path / "a") != digest_of_file(tmp_path / "b")
 
 
-def test_all_named_code_exists() -> None:
-    for part in {*TRAINING_CODE, *INFERENCE_CODE, *APART}:
-        assert (PACKAGE / part).exists(), part
+def test_all_named_folders_hold_code() -> None:
+    for part in {*TRAINING_CODE, *INFERENCE_CODE}:
+        assert any((PACKAGE / part).rglob("*.py")), part
 
 
-def test_code_that_only_chooses_frames_is_left_out(
+def test_code_counts_by_the_folder_it_lives_in(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(digest, "PACKAGE", tmp_path)
-    (tmp_path / "data").mkdir()
-    for name in ("dataset.py", "splits.py"):
-        (tmp_path / "data" / name).write_text("x = 1\n")
+    for name in ("data/dataset.py", "splits/splits.py"):
+        (tmp_path / name).parent.mkdir()
+        (tmp_path / name).write_text("x = 1\n")
 
     def digested() -> str:
         digest_of_code.cache_clear()
         return digest_of_code(("data",))
 
     before = digested()
-    (tmp_path / "data" / "splits.py").write_text("x = 2\n")
+    (tmp_path / "splits" / "splits.py").write_text("x = 2\n")
     assert digested() == before
     (tmp_path / "data" / "dataset.py").write_text("x = 2\n")
     assert digested() != before
     digest_of_code.cache_clear()
+
+
+def test_choosing_frames_looking_on_and_fitting_intervals_are_not_training() -> None:
+    training = {path for part in TRAINING_CODE for path in (PACKAGE / part).rglob("*.py")}
+    for folder in ("splits", "inference", "reporting", "callbacks", "uncertainty/conformal"):
+        assert not training & set((PACKAGE / folder).rglob("*.py"))
 
 
 def test_a_users_network_counts_by_its_source(

@@ -7,10 +7,10 @@ import pytest
 from hydra import compose, initialize_config_dir
 from omegaconf import DictConfig, open_dict
 
-from uncal.assembly import build_module
-from uncal.configuration import CONFIG_DIR
 from uncal.data.datamodule import CalibrationDataModule
 from uncal.recordings.frame import FrameId
+from uncal.runs.assembly import build_module
+from uncal.settings.configuration import CONFIG_DIR
 from uncal.weights.digest import digest_of
 from uncal.weights.ingredients import (
     data_ingredients,

@@ -10,9 +10,9 @@ from typing import cast
 import pytest
 import torch
 
-from uncal.checkpoint import check_start
 from uncal.errors import ConfigurationError
 from uncal.models.module import CalibrationModule
+from uncal.runs.checkpoint import check_start
 from uncal.weights.shipped import load_checkpoint
 
 

@@ -14,9 +14,9 @@ from torch.utils.flop_counter import FlopCounterMode
 
 from uncal.benchmarking.cuda_graph import graphed
 from uncal.benchmarking.placement import placements
-from uncal.progress import progress_bar
-from uncal.uncertainty.masks import FixedMasks
-from uncal.uncertainty.mc_dropout import MCDropout
+from uncal.system.progress import progress_bar
+from uncal.uncertainty.dropout.masks import FixedMasks
+from uncal.uncertainty.dropout.mc_dropout import MCDropout
 
 log = logging.getLogger(__name__)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from torch import nn
 from transformers.models.mobilevit.modeling_mobilevit import MobileViTLayer
 
-from uncal.uncertainty.dropout import dropout_layers
+from uncal.uncertainty.dropout.layers import dropout_layers
 
 ORDINALS = ("first", "second", "third", "fourth", "fifth")
 

@@ -11,16 +11,16 @@ from typing import cast
 import lightning
 import torch
 
-from uncal.assembly import build_data, build_module
 from uncal.benchmarking.placement import placements
-from uncal.checkpoint import load_weights, read_recipe
 from uncal.errors import ConfigurationError, RecordingError
 from uncal.geometry import DOF_SCALE
+from uncal.inference.split_passes import predict_split
 from uncal.metrics.functional import interval_score, mpiw, picp
 from uncal.models.answer import Estimator
-from uncal.models.inference import predict_split
-from uncal.uncertainty.mc_dropout import MCDropout
-from uncal.uncertainty.quantile import miscoverage
+from uncal.runs.assembly import build_data, build_module
+from uncal.runs.checkpoint import load_weights, read_recipe
+from uncal.uncertainty.conformal.quantile import miscoverage
+from uncal.uncertainty.dropout.mc_dropout import MCDropout
 
 
 @dataclass(frozen=True)

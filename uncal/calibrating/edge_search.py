@@ -16,8 +16,8 @@ from scipy.optimize import minimize  # type: ignore[import-untyped]
 from torch import Tensor
 
 from uncal.data.network_input import NetworkInput
-from uncal.decalibration import correct
 from uncal.edges.image import blurred
+from uncal.geometry.decalibration import correct
 from uncal.models.edge_alignment import EdgeAlignment, score
 from uncal.models.pose_search import LogLikelihood, SearchSettings, search
 

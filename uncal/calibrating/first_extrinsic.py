@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from uncal.calibrating.edge_search import EdgeField, refine, search_wide
 from uncal.data.dataset import Sample, collate
 from uncal.data.network_input import make_input
-from uncal.decalibration import DecalibrationRange
 from uncal.errors import FrameError, RecordingError
-from uncal.geometry import matrix_to_pose
+from uncal.geometry.decalibration import DecalibrationRange
+from uncal.geometry.transforms import matrix_to_pose
 from uncal.models.pose_search import SearchSettings
 from uncal.monitor.evidence import Estimate, EvidenceReader
 from uncal.monitor.extrinsic import after_step

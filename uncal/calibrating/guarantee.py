@@ -7,13 +7,13 @@ from pathlib import Path
 
 from omegaconf import DictConfig, OmegaConf, open_dict
 
-from uncal.configuration import CONFIG_DIR
-from uncal.geometry import DOF_NAMES, DOF_SCALE, DOF_UNITS
+from uncal.geometry.transforms import DOF_NAMES, DOF_SCALE, DOF_UNITS
 from uncal.models.module import CalibrationModule
-from uncal.models.prediction import SplitPrediction
+from uncal.models.split_prediction import SplitPrediction
 from uncal.recordings.frame import FrameId
-from uncal.uncertainty.coverage_law import coverage_band
-from uncal.uncertainty.quantile import conformal_rank, miscoverage, samples_needed
+from uncal.settings.configuration import CONFIG_DIR
+from uncal.uncertainty.conformal.coverage_law import coverage_band
+from uncal.uncertainty.conformal.quantile import conformal_rank, miscoverage, samples_needed
 
 
 def choose_interval(interval: DictConfig, drives: int) -> str:

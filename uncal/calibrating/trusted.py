@@ -9,19 +9,19 @@ from pathlib import Path
 import lightning
 from omegaconf import DictConfig
 
-from uncal.asked import with_settings_of
-from uncal.assembly import RECIPE, build_data, build_module, build_trainer
 from uncal.calibrating.guarantee import choose_interval, possible_levels, summary
-from uncal.checkpoint import load_weights, read_recipe
 from uncal.errors import ConfigurationError, FrameError, RecordingError
-from uncal.models.inference import predict_split
+from uncal.inference.split_passes import predict_split
 from uncal.models.module import CalibrationModule
-from uncal.models.prediction import SplitPrediction
+from uncal.models.split_prediction import SplitPrediction
 from uncal.monitor.evidence import EvidenceReader
 from uncal.monitor.references import INSIDE, make_references
 from uncal.monitor.settings import MonitorSettings
 from uncal.recordings.frame import FrameId, Recording
 from uncal.recordings.static_transform import StaticTransform
+from uncal.runs.assembly import RECIPE, build_data, build_module, build_trainer
+from uncal.runs.checkpoint import load_weights, read_recipe
+from uncal.runs.evaluation_settings import with_settings_of
 from uncal.settings.check import refuse_values
 from uncal.weights.shipped import save_shipped
 

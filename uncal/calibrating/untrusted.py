@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from omegaconf import DictConfig
 
 from uncal.calibrating.first_extrinsic import first_extrinsic, load_frames
-from uncal.decalibration import DecalibrationRange
 from uncal.errors import ConfigurationError
-from uncal.geometry import DOF_NAMES, DOF_SCALE, DOF_UNITS, matrix_to_pose
+from uncal.geometry.decalibration import DecalibrationRange
+from uncal.geometry.transforms import DOF_NAMES, DOF_SCALE, DOF_UNITS, matrix_to_pose
 from uncal.monitor.evidence import EvidenceReader
 from uncal.monitor.references import find_references, fingerprint, references_beside
 from uncal.monitor.settings import MonitorSettings

@@ -11,14 +11,13 @@ import torch
 from lightning import LightningModule, Trainer
 from torch import Tensor, nn
 
-from uncal.errors import ConfigurationError
-from uncal.uncertainty.absolute import AbsoluteCalibrator
-from uncal.uncertainty.calibrator import IntervalCalibrator
-from uncal.uncertainty.conformal import ConformalCalibrator
-from uncal.uncertainty.errors import UncertaintyError
-from uncal.uncertainty.fingerprint import PredictorIdentity
-from uncal.uncertainty.intervals import Intervals
-from uncal.uncertainty.mc_dropout import MCDropout
+from uncal.errors import ConfigurationError, UncertaintyError
+from uncal.uncertainty.conformal.absolute import AbsoluteCalibrator
+from uncal.uncertainty.conformal.calibrator import IntervalCalibrator
+from uncal.uncertainty.conformal.intervals import Intervals
+from uncal.uncertainty.conformal.split_conformal import ConformalCalibrator
+from uncal.uncertainty.dropout.fingerprint import PredictorIdentity
+from uncal.uncertainty.dropout.mc_dropout import MCDropout
 
 
 class ConformalCalibration(lightning.Callback):

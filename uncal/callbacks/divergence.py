@@ -9,8 +9,8 @@ import torch
 from lightning import LightningModule, Trainer
 from torch import Tensor
 
-from uncal.checkpoint import last_checkpoint
 from uncal.errors import DivergenceError
+from uncal.runs.checkpoint import last_checkpoint
 
 
 class StopAtDivergence(lightning.Callback):
@@ -35,17 +35,26 @@ class StopAtDivergence(lightning.Callback):
         loss = outputs.get("loss") if isinstance(outputs, Mapping) else outputs
         if not isinstance(loss, Tensor) or bool(torch.isfinite(loss).all()):
             return
-        groups = [group for optimizer in trainer.optimizers for group in optimizer.param_groups]
-        rate = max((group["lr"] for group in groups), default=float("nan"))
-        last = last_checkpoint(trainer)
-        kept = (
-            "No epoch had ended, so that there is no checkpoint."
-            if last is None or not last.is_file()
-            else f"The last good checkpoint is {last}."
-        )
-        raise DivergenceError(
-            f"the training diverges: the loss is {float(loss.detach().float().mean())} at step "
-            f"{trainer.global_step} (epoch {trainer.current_epoch + 1} of {trainer.max_epochs}), "
-            f"learning rate {rate:.3g} there. Lower "
-            f"model.optimization.optimizer.lr, or trainer.gradient_clip_val. {kept}"
-        )
+        raise diverged(trainer, f"the loss is {float(loss.detach().float().mean())}")
+
+
+def diverged(trainer: Trainer, what: str) -> DivergenceError:
+    """What to say of a training whose numbers have run away.
+
+    Args:
+        trainer: as it was then.
+        what: is no longer a number.
+    """
+    groups = [group for optimizer in trainer.optimizers for group in optimizer.param_groups]
+    rate = max((group["lr"] for group in groups), default=float("nan"))
+    last = last_checkpoint(trainer)
+    kept = (
+        "No epoch had ended, so that there is no checkpoint."
+        if last is None or not last.is_file()
+        else f"The last good checkpoint is {last}."
+    )
+    return DivergenceError(
+        f"the training diverges: {what} at step {trainer.global_step} (epoch "
+        f"{trainer.current_epoch + 1} of {trainer.max_epochs}), learning rate {rate:.3g} there. "
+        f"Lower model.optimization.optimizer.lr, or trainer.gradient_clip_val. {kept}"
+    )

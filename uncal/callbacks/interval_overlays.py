@@ -14,11 +14,11 @@ from torch import Tensor
 from uncal.callbacks.pictures import keep_picture, sample_panel
 from uncal.data.datamodule import CalibrationDataModule
 from uncal.data.dataset import Sample
-from uncal.decalibration import correct, decalibrate
 from uncal.errors import ConfigurationError
 from uncal.geometry import DOF_NAMES, DOF_SCALE
+from uncal.geometry.decalibration import correct, decalibrate
 from uncal.models.module import CalibrationModule
-from uncal.models.prediction import SplitPrediction
+from uncal.models.split_prediction import SplitPrediction
 from uncal.reporting.evaluation import percent
 
 log = logging.getLogger(__name__)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from uncal.callbacks.pictures import keep_picture, sample_panel
 from uncal.data.datamodule import CalibrationDataModule
 from uncal.data.dataset import Sample, collate
-from uncal.decalibration import correct
+from uncal.geometry.decalibration import correct
 from uncal.metrics.pose_error import pose_errors
 from uncal.models.module import CalibrationModule
 

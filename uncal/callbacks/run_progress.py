@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NoReturn
 import lightning
 from lightning import LightningModule, Trainer
 
-from uncal.progress import progress_bar
+from uncal.system.progress import progress_bar
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

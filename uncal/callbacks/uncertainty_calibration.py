@@ -13,12 +13,12 @@ from torchmetrics import MetricCollection
 from uncal.data.datamodule import CalibrationDataModule
 from uncal.errors import ConfigurationError
 from uncal.geometry import DOF_NAMES, DOF_SCALE, DOF_UNITS
+from uncal.inference.split_passes import predict_split
 from uncal.metrics import MPIW, PICP, IntervalScore
-from uncal.models.inference import predict_split
 from uncal.models.module import CalibrationModule
-from uncal.models.prediction import SplitPrediction
+from uncal.models.split_prediction import SplitPrediction
 from uncal.recordings.frame import FrameId
-from uncal.uncertainty.quantile import miscoverage
+from uncal.uncertainty.conformal.quantile import miscoverage
 
 log = logging.getLogger(__name__)
 

@@ -8,7 +8,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 import torch
 
@@ -18,10 +17,11 @@ from uncal.checking.finding import DriveReport, Finding
 from uncal.checking.layouts import Drive, find_layout
 from uncal.errors import FrameError, RecordingError
 from uncal.events.pixel_map import PixelMap
-from uncal.progress import watched
-from uncal.projection import project
+from uncal.geometry.projection import project
 from uncal.recordings.frame import Frame, FrameId, Recording
+from uncal.recordings.sensor_files import write_image
 from uncal.reporting.overlay import draw_events, overlay_panel
+from uncal.system.progress import watched
 
 log = logging.getLogger(__name__)
 
@@ -181,5 +181,5 @@ def _draw(path: Path, frame: Frame, view: View, judgement: geometry.Judgement) -
         panel = np.concatenate(
             [panel, overlay_panel(image, frame.points, K, {f"repaired: {repair.kind}": T}, 1)]
         )
-    cv2.imwrite(str(path), panel[..., ::-1])
+    write_image(path, panel)
     return path

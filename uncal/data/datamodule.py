@@ -14,12 +14,12 @@ from torch.utils.data import DataLoader, Dataset, Subset
 from uncal.data.augmentation import Augmentation
 from uncal.data.dataset import Batch, FrameDataset, Item, collate
 from uncal.data.network_input import InputSettings, NetworkInput, make_input
-from uncal.data.split_settings import SplitSettings
-from uncal.data.splits import SPLITS
-from uncal.data.windows import WindowSettings, units_of
-from uncal.decalibration import DecalibrationRange
 from uncal.errors import RecordingError
+from uncal.geometry.decalibration import DecalibrationRange
 from uncal.recordings.frame import FrameId, Recording
+from uncal.splits.split_settings import SplitSettings
+from uncal.splits.splits import SPLITS
+from uncal.splits.windows import WindowSettings, units_of
 
 log = logging.getLogger(__name__)
 
@@ -66,7 +66,7 @@ class CalibrationDataModule(lightning.LightningDataModule):
 
     Attributes:
         splits: split → its frames.
-        units: split → its frames, unit by unit; see :mod:`uncal.data.windows`.
+        units: split → its frames, unit by unit; see :mod:`uncal.splits.windows`.
         split_note: what a reader must know of the split; empty where its name says it all.
     """
 
@@ -133,7 +133,7 @@ class CalibrationDataModule(lightning.LightningDataModule):
         """Batches of one split: shuffled in training, in order elsewhere.
 
         Args:
-            split: a name of :data:`uncal.data.splits.SPLITS`.
+            split: a name of :data:`uncal.splits.splits.SPLITS`.
             most: units at most, spread evenly over the split; None: all.
             share: (rank, world size): every so many-th of them, for one of several processes.
             order: numbers of the units to load, in that order, in place of the two above.

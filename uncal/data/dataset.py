@@ -13,14 +13,14 @@ from torch.utils.data import Dataset
 
 from uncal.data.culling import frustum_mask
 from uncal.data.image_size import Fit, fit, fit_focal, resize_and_crop
-from uncal.data.windows import Unit
-from uncal.decalibration import DecalibrationRange
 from uncal.edges.selection import select_edges
 from uncal.edges.sweep import COLUMNS, find_edges
 from uncal.errors import FrameError
 from uncal.events.representations import EventRepresentation
+from uncal.geometry.decalibration import DecalibrationRange
 from uncal.recordings.frame import Frame, FrameId, Recording
 from uncal.recordings.motion import untwisted
+from uncal.splits.windows import Unit
 
 _LARGEST = torch.finfo(torch.float16).max
 
@@ -195,7 +195,7 @@ class FrameDataset(Dataset[Item]):
         camera, K = self._camera(frame)
         points = frame.points
         if frame.twist is not None:
-            points = untwisted(points, frame.twist)
+            points = untwisted(points, frame.twist, frame.spin)
         near = frustum_mask(
             points[:, :3],
             frame.T_cam_lidar,
@@ -222,7 +222,7 @@ class FrameDataset(Dataset[Item]):
         # Neighbours are neighbours in the sweep as it was measured.
         edges = find_edges(frame.points)
         if frame.twist is not None:
-            edges = untwisted(edges, frame.twist)
+            edges = untwisted(edges, frame.twist, frame.spin)
         near = frustum_mask(
             edges[:, :3],
             frame.T_cam_lidar,

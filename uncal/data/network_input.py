@@ -11,10 +11,10 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from uncal.data.dataset import Batch
-from uncal.decalibration import decalibrate
 from uncal.errors import ConfigurationError
 from uncal.events.representations import EventRepresentation
-from uncal.projection import project
+from uncal.geometry.decalibration import decalibrate
+from uncal.geometry.projection import project
 from uncal.recordings.frame import FrameId
 
 CAMERAS: tuple[str, ...] = ("rgb", "events")
@@ -35,7 +35,7 @@ class NetworkInput(NamedTuple):
         target: (n, 6) the decalibration to be found of each unit, metres and radians.
         place: (n,) int64 numbers of the units in their split.
         frames: the B frames.
-        unit: (B,) int64 which of the n units each frame belongs to; see :mod:`uncal.data.windows`.
+        unit: (B,) int64 which of the n units of :mod:`uncal.splits.windows` each frame belongs to.
         edges: (B, M, columns) edges of the sweeps; rows of NaN pad.
     """
 

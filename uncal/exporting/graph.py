@@ -12,17 +12,17 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from uncal.data.network_input import InputSettings, NetworkInput
-from uncal.decalibration import correct
 from uncal.edges.evidence import ProjectedEdges, project_edges
 from uncal.edges.sweep import STRENGTH
 from uncal.errors import ConfigurationError
+from uncal.geometry.decalibration import correct
 from uncal.models.alignment import BEYOND, LEAST, PRIOR, AlignmentEstimator
 from uncal.models.edge_alignment import Operators
 from uncal.models.evidence import BLOCK_PX, BLOCKS, STRIDES
 from uncal.models.module import CalibrationModule
 from uncal.models.pose_search import standard_normals
-from uncal.uncertainty.dropout import dropout_layers, rate_of
-from uncal.uncertainty.masks import FixedMasks
+from uncal.uncertainty.dropout.layers import dropout_layers, rate_of
+from uncal.uncertainty.dropout.masks import FixedMasks
 
 LONGEST_FOCAL = 0.9
 """Focal length, in widths of the image, up to which the start's blur is exact."""

@@ -12,14 +12,15 @@ import torch
 from hydra.utils import instantiate
 from torch import Tensor, nn
 
-from uncal.assembly import build_module
-from uncal.checkpoint import load_weights, read_recipe
 from uncal.data.network_input import InputSettings
 from uncal.edges.sweep import COLUMNS
 from uncal.errors import ConfigurationError
 from uncal.exporting.edges_file import edges_source
 from uncal.exporting.graph import INPUTS, OUTPUTS, AlignmentGraph
-from uncal.uncertainty.masks import FixedMasks
+from uncal.runs.assembly import build_module
+from uncal.runs.checkpoint import load_weights, read_recipe
+from uncal.system.disk import check_writable
+from uncal.uncertainty.dropout.masks import FixedMasks
 
 log = logging.getLogger(__name__)
 
@@ -65,8 +66,8 @@ def write_graph(
         raise ConfigurationError(
             f"format=onnx needs {' and '.join(missing)}: pip install 'uncal[export]'"
         )
+    check_writable(out)
     graph, inputs = make_graph(weights, levels, mask_seed)
-    out.parent.mkdir(parents=True, exist_ok=True)
     arguments = example(size)
     (to_onnx if format == "onnx" else to_torch)(graph, arguments, out)
     finder = out.with_name(f"{out.stem}_edges.py")

@@ -10,8 +10,6 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from uncal.data.network_input import NetworkInput
-from uncal.decalibration import correct, decalibrate
-from uncal.displacement import true_displacement
 from uncal.edges.evidence import (
     ProjectedEdges,
     gaussian_factors,
@@ -22,6 +20,8 @@ from uncal.edges.evidence import (
     unpack,
 )
 from uncal.errors import ConfigurationError
+from uncal.geometry.decalibration import correct, decalibrate
+from uncal.geometry.displacement import true_displacement
 from uncal.models.answer import Answer, Prior, Question, State
 from uncal.models.edge_alignment import EdgeAlignmentEstimator
 from uncal.models.evidence import STRIDES, EvidenceNetwork
@@ -51,6 +51,24 @@ class LearningSettings:
     largest: Sequence[float]
     pose_weight: float
     precision_weight: float
+
+    def __post_init__(self) -> None:
+        """Check them now; the first step comes after the recordings are read.
+
+        Raises:
+            ConfigurationError: names all four.
+        """
+        n = len(STRIDES)
+        pairs = zip(self.smallest, self.largest, strict=False)
+        fits = len(self.smallest) == len(self.largest) == n and all(
+            0 < a <= b <= 1 for a, b in pairs
+        )
+        if not fits or min(self.pose_weight, self.precision_weight) < 0:
+            raise ConfigurationError(
+                f"model.learning: smallest={list(self.smallest)}, largest={list(self.largest)}, "
+                f"pose_weight={self.pose_weight}, precision_weight={self.precision_weight}: "
+                f"expected {n} numbers each with 0 < smallest ≤ largest ≤ 1, weights from 0 on"
+            )
 
 
 class LastRound(nn.Module):
@@ -209,7 +227,7 @@ class AlignmentEstimator(nn.Module):
     from afar; on images unlike those of the training the rounds lose theirs.
 
     Frames of a window share one decalibration, so that their normal equations are added before they
-    are solved (:mod:`uncal.data.windows`).
+    are solved (:mod:`uncal.splits.windows`).
 
     Args:
         network: gives the curves.

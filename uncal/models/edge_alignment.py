@@ -11,12 +11,12 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from uncal.data.network_input import NetworkInput
-from uncal.decalibration import correct
 from uncal.edges.evidence import NEAREST_M
 from uncal.edges.image import IMAGE_EDGES, blurred, edge_maps
 from uncal.edges.sweep import KIND, KINDS, N_ACROSS, STRENGTH
 from uncal.errors import ConfigurationError, UncalError
 from uncal.geometry import transform_points
+from uncal.geometry.decalibration import correct
 from uncal.models.answer import Answer, Question, State
 from uncal.models.pose_search import LogLikelihood, Operator, SearchSettings, search
 
@@ -38,6 +38,7 @@ class EdgeAlignment(nn.Module):
         blur_deg: width of the blur of each scale, degrees at the image's centre, coarse to fine.
         rounds: of the search at each scale.
         sharpness: log-likelihood by score, of each scale.
+        every: at each scale every so many-th edge is looked at, and counts as that many.
 
     Raises:
         ConfigurationError: a setting is out of its range.
@@ -58,6 +59,7 @@ class EdgeAlignment(nn.Module):
         blur_deg: Sequence[float],
         rounds: Sequence[int],
         sharpness: Sequence[float],
+        every: Sequence[int],
     ) -> None:
         super().__init__()
         if image_edges not in IMAGE_EDGES:
@@ -69,16 +71,19 @@ class EdgeAlignment(nn.Module):
                 f"model.network.kinds={list(kinds)}: expected a weight, at least 0, for each of "
                 f"{', '.join(KINDS)}"
             )
-        lengths = {len(blur_deg), len(rounds), len(sharpness)}
-        if lengths != {len(rounds)} or min([*blur_deg, *rounds, *sharpness], default=0) <= 0:
+        scales = (blur_deg, rounds, sharpness, every)
+        least = min((value for scale in scales for value in scale), default=0)
+        if len(set(map(len, scales))) != 1 or least <= 0:
             raise ConfigurationError(
                 f"model.network: blur_deg={list(blur_deg)}, rounds={list(rounds)}, "
-                f"sharpness={list(sharpness)}: expected positive numbers, as many of each"
+                f"sharpness={list(sharpness)}, every={list(every)}: expected positive numbers, as "
+                "many of each"
             )
         self.camera_channels = camera_channels
         self.image_edges = image_edges
         self.window = window
         self.rounds = tuple(rounds)
+        self.every = tuple(every)
         # Buffers, so that a calibrator fitted with other ones is not taken for this one's.
         self.register_buffer("weights", torch.tensor([float(weight) for weight in kinds]))
         self.register_buffer("blur", torch.deg2rad(torch.tensor(list(blur_deg))))
@@ -198,8 +203,10 @@ class EdgeAlignmentEstimator(nn.Module):
             for level, number in enumerate(self.network.rounds):
                 strength = operators.blur(maps, self.network.blur[level] * batch.K[:, 0, 0])
                 strength = strength - strength.mean((2, 3), keepdim=True)
-                strength = strength * self.network.sharpness[level]
-                likelihood = partial(self._likelihood, batch, strength, edges, weights)
+                every = self.network.every[level]
+                strength = strength * (every * self.network.sharpness[level])
+                some = (edges[:, ::every], weights[:, ::every])
+                likelihood = partial(self._likelihood, batch, strength, *some)
                 rounds += [likelihood] * number
             return search(
                 rounds, len(batch.place), self.settings, operators.cholesky, operators.ndtr

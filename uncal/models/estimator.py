@@ -8,8 +8,8 @@ import torch
 from torch import Tensor, nn
 
 from uncal.data.network_input import NetworkInput
-from uncal.displacement import true_displacement
 from uncal.errors import ConfigurationError
+from uncal.geometry.displacement import true_displacement
 from uncal.models.answer import Answer, Question
 from uncal.models.geometric import GeometricSolver, GridPoints, PointGeometry
 from uncal.models.losses import displacement_loss, pinball_loss, pose_loss

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from uncal.displacement import displacement_jacobian
+from uncal.geometry.displacement import displacement_jacobian
 
 
 class GridPoints(NamedTuple):

@@ -15,22 +15,22 @@ from torch.optim import Optimizer
 from torch.optim.lr_scheduler import LambdaLR
 
 from uncal.data.network_input import NetworkInput
+from uncal.errors import UncertaintyError
 from uncal.geometry import DOF_NAMES
 from uncal.models.answer import Estimator
 from uncal.models.losses import relative_error
-from uncal.models.prediction import SplitPrediction, frame_seed, join_predictions, pass_names
 from uncal.models.schedule import follow
+from uncal.models.split_prediction import SplitPrediction, frame_seed, join_predictions, pass_names
 from uncal.recordings.frame import FrameId
 from uncal.run_state import RunState
-from uncal.uncertainty.calibrator import IntervalCalibrator
-from uncal.uncertainty.dropout import only_active
-from uncal.uncertainty.ellipsoid import EllipsoidCalibrator
-from uncal.uncertainty.errors import UncertaintyError
+from uncal.uncertainty.conformal.calibrator import IntervalCalibrator
+from uncal.uncertainty.conformal.ellipsoid import EllipsoidCalibrator
+from uncal.uncertainty.conformal.intervals import Intervals
+from uncal.uncertainty.dropout.layers import only_active
+from uncal.uncertainty.dropout.masks import FixedMasks
+from uncal.uncertainty.dropout.mc_dropout import MCDropout, Prediction
+from uncal.uncertainty.dropout.pass_memory import PassMemory
 from uncal.uncertainty.gather import gather_by_id
-from uncal.uncertainty.intervals import Intervals
-from uncal.uncertainty.masks import FixedMasks
-from uncal.uncertainty.mc_dropout import MCDropout, Prediction
-from uncal.uncertainty.pass_memory import PassMemory
 
 log = logging.getLogger(__name__)
 
@@ -46,7 +46,7 @@ class CalibrationModule(lightning.LightningModule):
         optimizer: parameters → optimiser.
         warmup_fraction: part of the training steps in which the learning rate rises.
         engine: network, masks → its MC dropout.
-        spread: what σ is made of, one of :data:`uncal.models.prediction.SPREADS`.
+        spread: what σ is made of, one of :data:`uncal.models.split_prediction.SPREADS`.
         fixed_masks: whether all frames meet the same dropout masks in evaluation.
         calibrator: turns means and spreads into intervals.
         groups: what frames of one group share: ``rig`` or ``drive``.

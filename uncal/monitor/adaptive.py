@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uncal.errors import ConfigurationError
-from uncal.uncertainty.calibrator import IntervalCalibrator
+from uncal.uncertainty.conformal.calibrator import IntervalCalibrator
 
 Vector = NDArray[np.float64]
 

@@ -14,24 +14,24 @@ from numpy.typing import NDArray
 from omegaconf import OmegaConf
 from torch import Tensor
 
-from uncal.asked import focal_of
-from uncal.assembly import build_module
-from uncal.checkpoint import load_weights, read_recipe
 from uncal.data.dataset import FrameDataset, Sample, collate
 from uncal.data.image_size import size_at_focal
 from uncal.data.network_input import InputSettings, NetworkInput, make_input
-from uncal.decalibration import DecalibrationRange
 from uncal.edges.evidence import pack, unpack
 from uncal.errors import FrameError
+from uncal.geometry.decalibration import DecalibrationRange
 from uncal.models.alignment import PRIOR, AlignmentEstimator
 from uncal.models.answer import Answer, Estimator, Prior, State
 from uncal.models.edge_alignment import EdgeAlignmentEstimator
 from uncal.models.module import CalibrationModule
-from uncal.models.prediction import frame_seed, spread_of
+from uncal.models.split_prediction import frame_seed, spread_of
 from uncal.monitor.settings import SensorLimits
 from uncal.monitor.statistics import frame_statistics
 from uncal.recordings.frame import Frame, FrameId
-from uncal.uncertainty.dropout import only_active
+from uncal.runs.assembly import build_module
+from uncal.runs.checkpoint import load_weights, read_recipe
+from uncal.runs.evaluation_settings import focal_of
+from uncal.uncertainty.dropout.layers import only_active
 
 AVERAGED = 1e4
 """Precision of a frame's pose, in units of the range, where a network has no normal equations: the

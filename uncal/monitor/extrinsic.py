@@ -8,8 +8,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from uncal.decalibration import correct
 from uncal.errors import ConfigurationError
+from uncal.geometry.decalibration import correct
 from uncal.monitor.decision import Interval
 from uncal.monitor.settings import UpdateSettings
 

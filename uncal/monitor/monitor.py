@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 
 from uncal.errors import ConfigurationError, FrameError
-from uncal.geometry import matrix_to_pose
+from uncal.geometry.transforms import matrix_to_pose
 from uncal.monitor.adaptive import Quantiles, make_quantiles, scores_of
 from uncal.monitor.decision import Interval, decide
 from uncal.monitor.evidence import Estimate, Evidence, EvidenceReader
@@ -30,7 +30,7 @@ from uncal.monitor.verdict import UNTRUSTED, Verdict
 from uncal.monitor.window import Window
 from uncal.recordings.frame import Frame, FrameId
 from uncal.recordings.static_transform import StaticTransform
-from uncal.uncertainty.calibrator import IntervalCalibrator
+from uncal.uncertainty.conformal.calibrator import IntervalCalibrator
 from uncal.weights.shipped import find_weights
 
 Vector = NDArray[np.float64]

@@ -20,17 +20,17 @@ import torch
 from numpy.typing import NDArray
 
 from uncal.errors import ConfigurationError, FrameError, RecordingError
-from uncal.geometry import DOF_NAMES, pose_to_matrix
+from uncal.geometry.transforms import DOF_NAMES, pose_to_matrix
 from uncal.monitor.evidence import Estimate, EvidenceReader
 from uncal.monitor.settings import MonitorSettings
 from uncal.monitor.statistics import STATISTICS, SensorCheck
 from uncal.monitor.window import Window
-from uncal.progress import watched
 from uncal.recordings.frame import Frame, FrameId, Recording
 from uncal.reporting.layout import replaced_whole
-from uncal.uncertainty.conformal import ConformalCalibrator
-from uncal.uncertainty.hierarchical import HierarchicalCalibrator
-from uncal.uncertainty.quantile import miscoverage, samples_needed
+from uncal.system.progress import watched
+from uncal.uncertainty.conformal.hierarchical import HierarchicalCalibrator
+from uncal.uncertainty.conformal.quantile import miscoverage, samples_needed
+from uncal.uncertainty.conformal.split_conformal import ConformalCalibrator
 from uncal.weights.shipped import load_shipped
 
 log = logging.getLogger(__name__)

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from omegaconf import DictConfig, OmegaConf
 
-from uncal.configuration import CONFIG_DIR
 from uncal.errors import ConfigurationError
+from uncal.settings.configuration import CONFIG_DIR
 
 ADAPTATIONS: tuple[str, ...] = ("off", "aci", "pid")
 """What adjusts the intervals where reference extrinsics arrive."""

@@ -10,10 +10,10 @@ from pathlib import Path
 
 from omegaconf import OmegaConf
 
-from uncal.configuration import CONFIG_DIR
 from uncal.errors import ConfigurationError, FrameError, RecordingError
 from uncal.recordings.frame import Frame, FrameId, Recording
 from uncal.recordings.layout_names import layout_of
+from uncal.settings.configuration import CONFIG_DIR
 
 POLL_S = 0.2
 """Seconds between looks at a folder that is being written to."""

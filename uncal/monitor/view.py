@@ -16,7 +16,7 @@ import numpy as np
 from uncal.geometry import DOF_NAMES
 from uncal.monitor.monitor import Monitor
 from uncal.monitor.verdict import OK, Verdict
-from uncal.progress import LOG_INTERVAL
+from uncal.system.progress import LOG_INTERVAL
 
 if TYPE_CHECKING:
     from rich.table import Table

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import shutil
+from collections.abc import Iterable
 from pathlib import Path
 
-import cv2
 import numpy as np
 import yaml  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 
 from uncal.errors import ConfigurationError, RecordingError
-from uncal.progress import watched
-from uncal.recordings.bag_stream import BagStream
+from uncal.recordings.bag_stream import BagStream, Observation
 from uncal.recordings.plain_calibration import FILE, parse_transform, read_rig
 from uncal.recordings.plain_folder import STAMPS
+from uncal.recordings.sensor_files import write_image
+from uncal.system.progress import watched
 
 _KNOWN = 1e-6
 """Difference of calibrations that rounding explains."""
@@ -64,47 +66,75 @@ def write_folder(
         The drive's folder.
 
     Raises:
-        ConfigurationError: there is no extrinsic, the drive exists, or the folder is of another
-            rig.
-        RecordingError: the bag gives not one pair, or is damaged; what was written stays.
+        ConfigurationError: there is no extrinsic, the drive exists, ``drive`` is no name of a
+            folder, or the root is of another rig.
+        RecordingError: the bag gives not one pair, or is damaged; the pairs before that are kept.
     """
     if T_cam_lidar is None:
         raise ConfigurationError(
             f"{stream.path} has no transform between camera and LiDAR in /tf_static: give "
             "extrinsic=FILE, a YAML file with T_cam_lidar (4×4, LiDAR → camera, metres)."
         )
-    folder = root / drive
+    if not drive or Path(drive).name != drive or drive.startswith("."):
+        raise ConfigurationError(f"drive={drive}: expected the name of a folder, without a path.")
+    folder, partial = root / drive, root / f".{drive}.partial"
     if folder.exists():
         raise ConfigurationError(f"{folder} exists; remove it, or give drive=another_name.")
-    _write_rig(root, stream, camera, lidar, T_cam_lidar)
-    images, scans = folder / camera, folder / lidar
-    images.mkdir(parents=True)
-    scans.mkdir()
-    times: list[tuple[float, float]] = []
+    rig = _new_rig(root, stream, camera, lidar, T_cam_lidar)
+    if partial.exists():  # of a conversion that was killed
+        shutil.rmtree(partial)
     pairs = watched(stream, "converting", quiet=not progress)
-    for number, seen in enumerate(pairs):
-        if number % every:
-            continue
-        name = f"{len(times):06d}"
-        cv2.imwrite(str(images / f"{name}.png"), seen.image[..., ::-1])
-        seen.points.tofile(scans / f"{name}.bin")
-        times.append((seen.image_time, seen.time))
-    for sensor, column in ((images, 0), (scans, 1)):
-        lines = "".join(f"{pair[column]:.9f}\n" for pair in times)
-        (sensor / STAMPS).write_text(lines, encoding="utf-8")
-    if not times:
-        folders = ", ".join(f"{what}: {n}" for what, n in stream.counts.items())
+    try:
+        n, damage = _write_pairs(pairs, partial / camera, partial / lidar, every)
+        if n:
+            if rig is not None:
+                (partial / FILE).write_text(rig, encoding="utf-8")
+                (partial / FILE).replace(root / FILE)
+            partial.rename(folder)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+    if n and damage is not None:
+        raise RecordingError(f"{damage} The {n} frames before that are in {folder}.") from damage
+    if damage is not None:
+        raise damage
+    if not n:
+        counts = ", ".join(f"{what}: {m}" for what, m in stream.counts.items())
         reason = next(iter(stream.reasons), "")
         raise RecordingError(
-            f"{stream.path}: not one pair ({folders or 'no messages'}). {reason or 'Their stamps'} "
+            f"{stream.path}: not one pair ({counts or 'no messages'}). {reason or 'Their stamps'} "
             + ("" if reason else "differ too much: look at tolerance_s and offset_s.")
         )
     return folder
 
 
-def _write_rig(
+def _write_pairs(
+    pairs: Iterable[Observation], images: Path, scans: Path, every: int
+) -> tuple[int, RecordingError | None]:
+    """Write files and time stamps; gives how many, and what ended the bag before its end."""
+    images.mkdir(parents=True)
+    scans.mkdir()
+    times: list[tuple[float, float]] = []
+    damage = None
+    try:
+        for number, seen in enumerate(pairs):
+            if number % every:
+                continue
+            name = f"{len(times):06d}"
+            write_image(images / f"{name}.png", seen.image)
+            (scans / f"{name}.bin").write_bytes(seen.points.tobytes())
+            times.append((seen.image_time, seen.time))
+    except RecordingError as error:
+        damage = error
+    for sensor, column in ((images, 0), (scans, 1)):
+        lines = "".join(f"{pair[column]:.9f}\n" for pair in times)
+        (sensor / STAMPS).write_text(lines, encoding="utf-8")
+    return len(times), damage
+
+
+def _new_rig(
     root: Path, stream: BagStream, camera: str, lidar: str, T: NDArray[np.float64]
-) -> None:
+) -> str | None:
+    """Text of the ``rig.yaml`` that the root lacks; None if it has the same already."""
     K, size = stream.lens.K_undistorted, stream.lens.size
     path = root / FILE
     if path.is_file():
@@ -116,7 +146,7 @@ def _write_rig(
                 f"{path} is of another rig (other camera matrix, extrinsic or names); give another "
                 "root."
             )
-        return
+        return None
     assert size is not None
     content = {
         "name": root.resolve().name,
@@ -124,5 +154,5 @@ def _write_rig(
         "lidars": {lidar: {"units": "m"}},
         "extrinsics": {camera: {lidar: T.tolist()}},
     }
-    root.mkdir(parents=True, exist_ok=True)
-    path.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+    text: str = yaml.safe_dump(content, sort_keys=False)
+    return text

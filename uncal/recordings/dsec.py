@@ -26,6 +26,7 @@ from uncal.recordings.dsec_sequences import drive_of
 from uncal.recordings.folder_listing import choose
 from uncal.recordings.frame import Frame, FrameId
 from uncal.recordings.lidar_bag import LidarBag
+from uncal.recordings.scan_motion import SweepMotion
 
 log = logging.getLogger(__name__)
 
@@ -52,6 +53,8 @@ class Dsec:
         scan_time: when the window ends, one of :data:`SCAN_TIMES`. DSEC does not say which moment
             of the sweep its stamps are. The field ``time`` of the points counts from the stamp, so
             ``end`` is right wherever that field is there, and is the stamp where it is not.
+        untwist: estimate the vehicle's motion from neighbouring scans, of which DSEC has no record,
+            so that what it does to the sweep is undone; see :mod:`uncal.recordings.scan_motion`.
 
     Raises:
         RecordingError: the root is missing or empty, or no sequence can be used.
@@ -73,6 +76,7 @@ class Dsec:
         side: str = "left",
         stride: int = 1,
         scan_time: str = "end",
+        untwist: bool = True,
     ) -> None:
         """Find the sequences, read their calibration and index their scans; no event is read."""
         _check(window_ms, min_events, side, stride, scan_time)
@@ -85,6 +89,8 @@ class Dsec:
         self._stride = stride
         self._sequences: dict[tuple[str, str], PairedSequence] = {}
         self._bags: dict[str, LidarBag | RecordingError] = {}
+        self._motions: dict[str, SweepMotion] = {}
+        self._untwist = untwist
         self._maps: dict[bytes, NDArray[np.float32]] = {}
 
         folders = find_sequences(root)
@@ -142,7 +148,7 @@ class Dsec:
         digest = hashlib.sha256(rectify_map.tobytes()).digest()
         rectify_map = self._maps.setdefault(digest, rectify_map)
         events = inspect_events(folder.events(side), rectify_map)
-        sequence = pair(events, bag, calibration, scan_time)
+        sequence = pair(events, bag, calibration, scan_time, self._motion(folder, bag))
         frames, poor = sequence.sort_out(self._window, self._stride)
         self._sequences[rig, folder.name] = sequence
         self.frame_ids += [FrameId(rig, folder.name, index) for index in frames]
@@ -151,6 +157,14 @@ class Dsec:
         }
         log.info(
             "sequence %s: %d frames, %d with too few events", folder.name, len(frames), len(poor)
+        )
+
+    def _motion(self, folder: SequenceFolder, bag: LidarBag) -> SweepMotion | None:
+        if not self._untwist:
+            return None
+        return self._motions.setdefault(
+            drive_of(folder.name),
+            SweepMotion(bag.points, bag.index.stamp_ns / 1e9),
         )
 
     def _bag(self, folder: SequenceFolder) -> LidarBag:

@@ -13,6 +13,8 @@ from uncal.recordings.dsec_clock import clock_time, on_event_clock
 from uncal.recordings.dsec_events import EventFile
 from uncal.recordings.frame import Frame, FrameId
 from uncal.recordings.lidar_bag import LidarBag
+from uncal.recordings.motion import KITTI_SPIN, Spin
+from uncal.recordings.scan_motion import SweepMotion
 
 SCAN_TIMES: tuple[str, ...] = ("end", "stamp")
 """What may count as the time of a scan: its last point, or the stamp of its message."""
@@ -49,6 +51,8 @@ class PairedSequence:
         positions: (n,) of the sequence's scans in the bag's index.
         times_ns: (n,) their UNIX times, nanoseconds.
         times_us: (n,) the same on the events' clock, microseconds without ``t_offset``.
+        motion: tells how the LiDAR moves at each scan of the bag; None: sweeps are left as they
+            are.
     """
 
     calibration: CameraCalibration
@@ -57,6 +61,7 @@ class PairedSequence:
     positions: NDArray[np.intp]
     times_ns: NDArray[np.int64]
     times_us: NDArray[np.int64]
+    motion: SweepMotion | None
 
     def __len__(self) -> int:
         """Number of scans."""
@@ -108,7 +113,9 @@ class PairedSequence:
         events = self.events.read(end_us - window.length_us, end_us)
         if len(events) < window.min_events:
             raise FrameError(f"{self.events.path}: {window.too_few(str(len(events)))}.")
-        points, n_dropped = self.bag.read(int(self.positions[frame_id.index]))
+        position = int(self.positions[frame_id.index])
+        points, n_dropped = self.bag.read(position)
+        twist = None if self.motion is None else self.motion.twist(position)
         return Frame(
             id=frame_id,
             image=None,
@@ -118,11 +125,25 @@ class PairedSequence:
             time=float(self.times_ns[frame_id.index]) / 1e9,
             n_dropped=n_dropped,
             events=events,
+            twist=twist,
+            spin=KITTI_SPIN if twist is None else self._spin(frame_id.index),
         )
+
+    def _spin(self, index: int) -> Spin:
+        position = int(self.positions[index])
+        spin = self.bag.spin(position)
+        if spin is None:
+            return KITTI_SPIN
+        stamp_ns = int(self.bag.index.stamp_ns[position])
+        return spin._replace(ahead_s=spin.ahead_s + (stamp_ns - int(self.times_ns[index])) / 1e9)
 
 
 def pair(
-    events: EventFile, bag: LidarBag, calibration: CameraCalibration, scan_time: str
+    events: EventFile,
+    bag: LidarBag,
+    calibration: CameraCalibration,
+    scan_time: str,
+    motion: SweepMotion | None = None,
 ) -> PairedSequence:
     """Find the scans of a drive that were taken during a sequence.
 
@@ -131,6 +152,7 @@ def pair(
         bag: of the drive.
         calibration: of the event camera.
         scan_time: one of :data:`SCAN_TIMES`.
+        motion: of the bag's scans; see :class:`PairedSequence`.
 
     Returns:
         The sequence with its scans.
@@ -150,5 +172,5 @@ def pair(
             f"to {clock_time(int(times_ns[-1]) // 1000)}"
         )
     return PairedSequence(
-        calibration, events, bag, positions, times_ns[positions], times_us[positions]
+        calibration, events, bag, positions, times_ns[positions], times_us[positions], motion
     )

@@ -35,9 +35,9 @@ def list_indices(folder: Path, digits: int, suffix: str) -> set[int]:
 
 
 def subfolders(folder: Path) -> list[str]:
-    """Names of the folders in a folder, links to folders among them, sorted."""
+    """Names of the folders in a folder, links to folders among them, hidden ones not, sorted."""
     with os.scandir(folder) as entries:
-        return sorted(entry.name for entry in entries if entry.is_dir())
+        return sorted(e.name for e in entries if e.is_dir() and not e.name.startswith("."))
 
 
 def contents(folder: Path, limit: int = 8) -> str:

@@ -16,6 +16,7 @@ from uncal.recordings.folder_listing import list_indices
 from uncal.recordings.frame import Frame, FrameId
 from uncal.recordings.image_sizes import usual_size
 from uncal.recordings.motion import read_oxts
+from uncal.recordings.scan_motion import SweepMotion
 from uncal.recordings.sensor_files import read_image, read_scan
 
 
@@ -34,6 +35,7 @@ class DriveFolder:
         read_times: its parser; frames beyond its last line have no time.
         motion: folder of one ``.txt`` a frame that says how the vehicle moves; None: not known.
         R_lidar_imu: (3, 3) rotation of what they are given in → LiDAR; None: none.
+        distorted: without ``motion``, sweeps are distorted by a motion to be found from themselves.
     """
 
     rig: str
@@ -46,6 +48,7 @@ class DriveFolder:
     read_times: Callable[[Path], NDArray[np.float64]]
     motion: Path | None = None
     R_lidar_imu: NDArray[np.float64] | None = None
+    distorted: bool = False
 
     def image_path(self, index: int) -> Path:
         """The image of frame ``index``."""
@@ -55,8 +58,12 @@ class DriveFolder:
         """The scan of frame ``index``."""
         return self.scans / f"{index:0{self.digits}d}.bin"
 
-    def twist(self, index: int) -> NDArray[np.float64] | None:
-        """How the LiDAR moves at frame ``index``; see :class:`~uncal.recordings.frame.Frame`."""
+    def scan(self, index: int) -> NDArray[np.float32]:
+        """The points of frame ``index``."""
+        return read_scan(self.scan_path(index))[0]
+
+    def recorded_twist(self, index: int) -> NDArray[np.float64] | None:
+        """How the LiDAR moves at frame ``index``, if that was recorded."""
         if self.motion is None:
             return None
         rotation = np.eye(3) if self.R_lidar_imu is None else self.R_lidar_imu
@@ -89,6 +96,7 @@ class FolderRecording:
         self._drives = {(drive.rig, drive.drive): drive for drive in drives}
         self._times: dict[tuple[str, str], NDArray[np.float64]] = {}
         self._sizes: dict[tuple[str, str], tuple[int, int] | None] = {}
+        self._motions: dict[tuple[str, str], SweepMotion] = {}
         for drive in self._drives.values():
             self._list_drive(drive, stride)
         if not self.frame_ids:
@@ -126,7 +134,7 @@ class FolderRecording:
             T_cam_lidar=drive.calibration.T_cam_lidar.copy(),
             time=self._time(drive, frame_id.index),
             n_dropped=n_dropped,
-            twist=drive.twist(frame_id.index),
+            twist=self._twist(drive, frame_id.index),
         )
 
     def paths(self, frame_id: FrameId) -> tuple[Path, Path]:
@@ -167,11 +175,22 @@ class FolderRecording:
                 "hold. Restore the image, or adapt the calibration to it."
             )
 
-    def _time(self, drive: DriveFolder, index: int) -> float:
+    def _twist(self, drive: DriveFolder, index: int) -> NDArray[np.float64] | None:
+        if drive.motion is not None or not drive.distorted:
+            return drive.recorded_twist(index)
+        key = (drive.rig, drive.drive)
+        if key not in self._motions:
+            self._motions[key] = SweepMotion(drive.scan, self._times_of(drive))
+        return self._motions[key].twist(index)
+
+    def _times_of(self, drive: DriveFolder) -> NDArray[np.float64]:
         key = (drive.rig, drive.drive)
         if key not in self._times:
             self._times[key] = drive.read_times(drive.times)
-        times = self._times[key]
+        return self._times[key]
+
+    def _time(self, drive: DriveFolder, index: int) -> float:
+        times = self._times_of(drive)
         return float(times[index]) if index < times.size else float("nan")
 
     def _nothing_found(self) -> str:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uncal.events.stream import Events
+from uncal.recordings.motion import KITTI_SPIN, Spin
 
 
 @dataclass(frozen=True)
@@ -46,6 +47,7 @@ class Frame:
         events: what an event camera saw before the sweep; None for an image.
         twist: (6,) velocity and turn rate of the LiDAR in its own frame, metres and radians per
             second, to undo the sweep's distortion; None where it is unknown or already undone.
+        spin: when the sweep was measured, for the same purpose.
     """
 
     id: FrameId
@@ -57,6 +59,7 @@ class Frame:
     n_dropped: int = 0
     events: Events | None = None
     twist: NDArray[np.float64] | None = None
+    spin: Spin = KITTI_SPIN
 
     @property
     def drive(self) -> str:

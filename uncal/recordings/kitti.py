@@ -42,7 +42,8 @@ class KittiRaw(FolderRecording):
         drives: which drives, all if None: folder names (``2011_09_26_drive_0001_sync``), short
             names (``2011_09_26/0001``) or shell patterns of either (``2011_09_26/*``).
         untwist: read the vehicle's motion where a drive has ``oxts``, so that what it does to the
-            sweep is undone; see :mod:`uncal.recordings.motion`.
+            sweep is undone; see :mod:`uncal.recordings.motion`. A drive without them that has time
+            stamps: estimate it from neighbouring sweeps (:mod:`uncal.recordings.scan_motion`).
 
     Raises:
         RecordingError: the root, the drives, the frames or the calibration are not there.
@@ -80,6 +81,7 @@ class KittiRaw(FolderRecording):
                     read_times=read_clock_times,
                     motion=_motion(root / _date(drive) / drive) if untwist else None,
                     R_lidar_imu=rotations[_date(drive)],
+                    distorted=untwist,
                 )
                 for drive in chosen
             ),

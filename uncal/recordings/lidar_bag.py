@@ -21,6 +21,7 @@ from rosbags.typesys.store import Typestore
 
 from uncal.errors import FrameError, NothingPaired, RecordingError
 from uncal.recordings.lidar_index import LidarIndex, cached_index
+from uncal.recordings.motion import Spin
 from uncal.recordings.point_cloud2 import (
     BYTE,
     PointCloud2,
@@ -28,6 +29,7 @@ from uncal.recordings.point_cloud2 import (
     has_intensity,
     read_points,
     sweep_end,
+    sweep_spin,
 )
 
 log = logging.getLogger(__name__)
@@ -81,6 +83,7 @@ class LidarBag:
         self.path = path
         self.index: LidarIndex = cached_index(path, index_scans)
         self._opened: tuple[int, Reader] | None = None
+        self._last: tuple[int, _Scan] | None = None
         self._brightest: float | None = None
         self._has_intensity = True
 
@@ -120,26 +123,53 @@ class LidarBag:
         Raises:
             FrameError: the scan cannot be read or holds no finite point.
         """
-        message_ns = int(self.index.message_ns[position])
-        stamp_ns = int(self.index.stamp_ns[position])
         try:
-            reader = self._reader()
-            for _, scan in _scans(reader, start=message_ns, stop=message_ns + 1):
-                if _stamp_ns(scan) == stamp_ns:
-                    points, n_dropped = read_points(scan, self._full_scale())
-                    break
-            else:
-                raise ValueError("the bag has changed since it was indexed")
+            points, n_dropped = read_points(self._scan(position), self._full_scale())
         except _DAMAGE as error:
             raise FrameError(
-                f"{self.path}: the scan stamped {stamp_ns / 1e9:.6f} cannot be read ({error})."
+                f"{self.path}: {self._named(position)} cannot be read ({error})."
             ) from error
         if not len(points):
             raise FrameError(
-                f"{self.path}: none of the {n_dropped} points of the scan stamped "
-                f"{stamp_ns / 1e9:.6f} is finite."
+                f"{self.path}: none of the {n_dropped} points of {self._named(position)} is finite."
             )
         return points, n_dropped
+
+    def points(self, position: int) -> NDArray[np.float32]:
+        """What :meth:`read` gives, without the count."""
+        return self.read(position)[0]
+
+    def spin(self, position: int) -> Spin | None:
+        """When a scan was measured, after its stamp; None where its points do not say.
+
+        Args:
+            position: in :attr:`index`.
+
+        Raises:
+            FrameError: the scan cannot be read.
+        """
+        try:
+            return sweep_spin(self._scan(position))
+        except _DAMAGE as error:
+            raise FrameError(
+                f"{self.path}: {self._named(position)} cannot be read ({error})."
+            ) from error
+
+    def _scan(self, position: int) -> _Scan:
+        """The message; the last one is kept."""
+        if self._last is None or self._last[0] != position:
+            message_ns = int(self.index.message_ns[position])
+            stamp_ns = int(self.index.stamp_ns[position])
+            for _, scan in _scans(self._reader(), start=message_ns, stop=message_ns + 1):
+                if _stamp_ns(scan) == stamp_ns:
+                    self._last = (position, scan)
+                    break
+            else:
+                raise ValueError("the bag has changed since it was indexed")
+        return self._last[1]
+
+    def _named(self, position: int) -> str:
+        return f"the scan stamped {int(self.index.stamp_ns[position]) / 1e9:.6f}"
 
     def _reader(self) -> Reader:
         if self._opened is None or self._opened[0] != os.getpid():
@@ -149,8 +179,8 @@ class LidarBag:
         return self._opened[1]
 
     def __getstate__(self) -> dict[str, object]:
-        """Everything but the open file."""
-        return {**self.__dict__, "_opened": None}
+        """Everything but the open file and the last scan."""
+        return {**self.__dict__, "_opened": None, "_last": None}
 
 
 def index_scans(path: Path) -> LidarIndex:

@@ -8,6 +8,7 @@ it: that looks like a pose, and no averaging over frames takes it out.
 from __future__ import annotations
 
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,8 +52,25 @@ def read_oxts(path: Path, R_lidar_imu: NDArray[np.float64]) -> NDArray[np.float6
     return np.concatenate([R_lidar_imu @ numbers[_LINEAR], R_lidar_imu @ numbers[_ANGULAR]])
 
 
-def untwisted(rows: NDArray[np.float32], twist: NDArray[np.float64]) -> NDArray[np.float32]:
-    """What a sweep would be had all of it been measured as the LiDAR looked straight ahead.
+class Spin(NamedTuple):
+    """When a spinning LiDAR measures what; the defaults are KITTI's.
+
+    Attributes:
+        revolution_s: seconds for a revolution; azimuth falls as time goes on.
+        ahead_s: seconds from the camera's moment until the LiDAR looks straight ahead.
+    """
+
+    revolution_s: float = REVOLUTION_S
+    ahead_s: float = 0.0
+
+
+KITTI_SPIN = Spin()
+
+
+def untwisted(
+    rows: NDArray[np.float32], twist: NDArray[np.float64], spin: Spin = KITTI_SPIN
+) -> NDArray[np.float32]:
+    """What a sweep would be had all of it been measured at the camera's moment.
 
     A Velodyne turns clockwise seen from above, so that azimuth falls as time goes on; KITTI's
     cameras are triggered when it looks ahead.
@@ -60,6 +78,7 @@ def untwisted(rows: NDArray[np.float32], twist: NDArray[np.float64]) -> NDArray[
     Args:
         rows: (N, C) float32 whose first three columns are a position, LiDAR frame, metres.
         twist: (6,) velocity and turn rate in the LiDAR frame, metres and radians per second.
+        spin: when the sweep was measured.
 
     Returns:
         The same shape; the other columns as they were.
@@ -69,7 +88,8 @@ def untwisted(rows: NDArray[np.float32], twist: NDArray[np.float64]) -> NDArray[
     [[-0.2, 5.0, 0.0]]
     """
     position = rows[:, :3].astype(np.float64)
-    delay = -np.arctan2(position[:, 1], position[:, 0]) / (2 * np.pi) * REVOLUTION_S
+    share = -np.arctan2(position[:, 1], position[:, 0]) / (2 * np.pi)
+    delay = share * spin.revolution_s + spin.ahead_s
     # To first order: a turn of 1° within a sweep leaves less than a millimetre at 10 m.
     moved = twist[:3] + np.cross(twist[3:], position)
     result = np.array(rows, np.float32)

@@ -12,6 +12,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from uncal.recordings.motion import Spin
+
 _FORMATS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """PointField.datatype → numpy type, without its byte order."""
 
@@ -23,6 +25,9 @@ WORD = 65535.0
 
 _LONGEST_SWEEP_S = 1.0
 """Velodynes turn at 5 to 20 Hz; a larger ``time`` is an absolute time or not in seconds."""
+
+_FEWEST_TIMES = 100
+"""Points with a time that tell how fast the LiDAR turns."""
 
 
 class PointField(Protocol):
@@ -122,6 +127,33 @@ def sweep_end(message: PointCloud2) -> float:
         return 0.0
     last = float(times.max())
     return last if abs(last) < _LONGEST_SWEEP_S else 0.0
+
+
+def sweep_spin(message: PointCloud2) -> Spin | None:
+    """When a sweep was measured, from its points' times, after the stamp of the message.
+
+    Args:
+        message: a sweep.
+
+    Returns:
+        ``ahead_s`` counts from the stamp. None where there are no times, or they do not fall with
+        the azimuth as a Velodyne's do.
+
+    Raises:
+        ValueError: the message is shorter than it says.
+    """
+    if not any(field.name == "time" for field in message.fields):
+        return None
+    x, y, times = (column.astype(np.float64) for column in _columns(message, ("x", "y", "time")))
+    azimuth = np.arctan2(y, x)
+    # Ahead only: behind, a sweep begins and ends.
+    kept = np.isfinite(times) & (np.abs(azimuth) < np.pi / 4)
+    if np.count_nonzero(kept) < _FEWEST_TIMES or np.ptp(times[kept]) == 0:
+        return None
+    slope, ahead = np.polyfit(-azimuth[kept] / (2 * np.pi), times[kept], 1)
+    left = times[kept] - ahead + slope * azimuth[kept] / (2 * np.pi)
+    usual = 0.02 < slope < 0.4 and np.median(np.abs(left)) < 0.02 * slope
+    return Spin(float(slope), float(ahead)) if usual else None
 
 
 def _columns(message: PointCloud2, names: Sequence[str]) -> list[NDArray[np.generic]]:

@@ -14,7 +14,7 @@ from uncal.reporting.frames import table
 if TYPE_CHECKING:
     import pandas as pd
 
-    from uncal.models.control import ControlPrediction
+    from uncal.inference.control import ControlPrediction
     from uncal.recordings.frame import FrameId
 
 

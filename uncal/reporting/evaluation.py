@@ -11,10 +11,10 @@ from typing import Literal
 from torch import Tensor
 
 from uncal.metrics.pose_error import in_double
-from uncal.uncertainty.calibrator import IntervalCalibrator
-from uncal.uncertainty.coverage_law import coverage_band
-from uncal.uncertainty.intervals import Intervals
-from uncal.uncertainty.quantile import miscoverage
+from uncal.uncertainty.conformal.calibrator import IntervalCalibrator
+from uncal.uncertainty.conformal.coverage_law import coverage_band
+from uncal.uncertainty.conformal.intervals import Intervals
+from uncal.uncertainty.conformal.quantile import miscoverage
 
 BAND_CONFIDENCE = 0.999
 """Probability with which the reference band holds the coverage of one DoF at one level."""

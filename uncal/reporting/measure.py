@@ -24,15 +24,15 @@ from uncal.metrics.pose_error import PoseErrors, pose_errors, rotation_angle
 from uncal.reporting.control import control_table
 from uncal.reporting.evaluation import Evaluation, Guarantee, percent
 from uncal.reporting.frames import bound_columns, table
-from uncal.uncertainty.calibrator import IntervalCalibrator
-from uncal.uncertainty.ellipsoid import EllipsoidCalibrator, log_volume, mahalanobis
-from uncal.uncertainty.intervals import Intervals
-from uncal.uncertainty.quantile import miscoverage
+from uncal.uncertainty.conformal.calibrator import IntervalCalibrator
+from uncal.uncertainty.conformal.ellipsoid import EllipsoidCalibrator, log_volume, mahalanobis
+from uncal.uncertainty.conformal.intervals import Intervals
+from uncal.uncertainty.conformal.quantile import miscoverage
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from uncal.models.control import ControlPrediction
+    from uncal.inference.control import ControlPrediction
 
 CURVE_LEVELS: tuple[float, ...] = tuple(float(Fraction(k, 20)) for k in range(1, 20))
 """5%, 10%, … 95%."""

@@ -30,7 +30,7 @@ from uncal.reporting.sections import (
     curve_section,
     joint_section,
 )
-from uncal.uncertainty.quantile import samples_needed
+from uncal.uncertainty.conformal.quantile import samples_needed
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -20,7 +20,7 @@ from uncal.reporting.evaluation import Guarantee, band_caveat, guarantee_of
 from uncal.reporting.frames import PREDICTIONS, RESULTS, TABLES, Schema, read_csv
 from uncal.reporting.published.paper import MCD_ALONE, MCD_CP
 from uncal.reporting.run_record import NAME, read_record
-from uncal.uncertainty.calibrator import IntervalCalibrator
+from uncal.uncertainty.conformal.calibrator import IntervalCalibrator
 
 if TYPE_CHECKING:
     import pandas as pd

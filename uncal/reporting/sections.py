@@ -15,7 +15,7 @@ from uncal.metrics.calibration_curve import calibration_error
 from uncal.reporting.control import blind_dofs
 from uncal.reporting.evaluation import Guarantee
 from uncal.reporting.layout import Grid, length, number
-from uncal.uncertainty.quantile import samples_needed
+from uncal.uncertainty.conformal.quantile import samples_needed
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from fnmatch import fnmatchcase
 
-from uncal.geometry import DOF_NAMES
+from uncal.geometry.transforms import DOF_NAMES
 from uncal.settings.rules import Either, Flag, Listed, Number, Rule, Text, Words
 
 SEED = Number(0, 2**32 - 1, whole=True)
@@ -114,6 +114,7 @@ BOUNDS: Mapping[str, Rule] = {
     "trainer.gradient_clip_val": Either(Number(0, 1e9), None),
     "trainer.log_every_n_steps": Number(0, 1_000_000, whole=True),
     "trainer.num_sanity_val_steps": Number(-1, 1_000_000, whole=True),
+    "trainer.limit_*_batches": Either(Number(0, 1e9, above=True), None),
     "trainer.devices": Either(
         Number(-1, 1024, whole=True), Listed(Number(0, 1023, whole=True)), Text()
     ),

@@ -24,6 +24,9 @@ NEEDED: Mapping[str, str] = {
 }
 """Callbacks that no run can do without, where the shipped configuration has them."""
 
+NULLABLE: tuple[str, ...] = ("logger", "model.start")
+"""Groups that a run can do without, beside those that are one of several by name."""
+
 _OF_HYDRA = re.compile(r"\$\{(hydra|now):")
 _ITS_OWN = re.compile(r"(^|\.)simulation(\.|$)")
 """Groups whose classes check each key themselves."""
@@ -147,11 +150,11 @@ def _may_be_null(
 ) -> bool:
     group, _, name = key.rpartition(".")
     if isinstance(default, dict):
-        # One of several groups by name, such as callbacks; or the logger.
+        # One of several groups by name, such as callbacks.
         beside = [v for k, v in defaults.items() if k.rpartition(".")[0] == group]
         named = bool(group) and all(isinstance(value, dict) for value in beside)
         holds_named = bool(default) and all(isinstance(v, dict) for v in default.values())
-        return key not in NEEDED and (named or key == "logger" or (holds_named and not _needs(key)))
+        return key not in NEEDED and (named or key in NULLABLE or (holds_named and not _needs(key)))
     rule = bounds_of(key)
     if rule is not None:
         return rule.holds(None)
@@ -174,6 +177,11 @@ def _between(config: DictConfig) -> Iterator[str]:
         callbacks = config.get(group)
         if isinstance(callbacks, DictConfig) and last in callbacks and callbacks[last] is None:
             yield f"{name}=null: {reason}; leave it as it is"
+    if _resolved(config, "trainer.fast_dev_run"):
+        yield (
+            "trainer.fast_dev_run: keeps no checkpoint, which a table is made with; a short run is "
+            "trainer.max_epochs=1 trainer.limit_train_batches=2"
+        )
     fractions = _resolved(config, "split.fractions")
     if isinstance(fractions, list) and len(fractions) == 4:
         used = fractions[:3] if _resolved(config, "split.test") == "unseen" else fractions

@@ -10,7 +10,7 @@ from pathlib import Path
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 
-from uncal.configuration import CONFIG_DIR
+from uncal.settings.configuration import CONFIG_DIR
 
 
 def quote_arguments() -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import yaml  # type: ignore[import-untyped]
 
-from uncal.configuration import CONFIG_DIR
+from uncal.settings.configuration import CONFIG_DIR
 from uncal.settings.sweep_source import GROUP, sweeps_folder
 
 

@@ -11,7 +11,7 @@ from hydra.errors import HydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig, open_dict
 
-from uncal.configuration import CONFIG_DIR
+from uncal.settings.configuration import CONFIG_DIR
 from uncal.settings.sweep_source import GROUP
 
 

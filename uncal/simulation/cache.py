@@ -6,11 +6,11 @@ import logging
 import shutil
 from pathlib import Path
 
-from uncal.locking import locked
-from uncal.simulation.layout import is_own_folder, layout_of
+from uncal.simulation.formats.layouts import is_own_folder, layout_of
 from uncal.simulation.manifest import LOCK_NAME, Manifest, read_manifest
 from uncal.simulation.settings import SimulationSettings
 from uncal.simulation.writer import PARTIAL_PREFIX, write_missing
+from uncal.system.locking import locked
 
 log = logging.getLogger(__name__)
 

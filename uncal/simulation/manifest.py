@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from uncal.errors import RecordingError
-from uncal.simulation.layout import all_folders
+from uncal.simulation.formats.layouts import all_folders
 from uncal.simulation.settings import VERSION, SimulationSettings
 
 MANIFEST_NAME = "simulation.json"

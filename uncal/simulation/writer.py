@@ -16,13 +16,13 @@ from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 
 from uncal.errors import ConfigurationError, RecordingError
-from uncal.locking import locked
-from uncal.memory import keep_freed_memory
-from uncal.progress import progress_bar
-from uncal.simulation.drive import Piece
-from uncal.simulation.layout import Layout, layout_of
+from uncal.simulation.formats.drive import Piece
+from uncal.simulation.formats.layouts import Layout, layout_of
 from uncal.simulation.manifest import LOCK_NAME, Manifest, read_manifest
 from uncal.simulation.settings import SimulationSettings
+from uncal.system.locking import locked
+from uncal.system.memory import keep_freed_memory
+from uncal.system.progress import progress_bar
 
 log = logging.getLogger(__name__)
 

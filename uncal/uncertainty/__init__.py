@@ -1,8 +1,18 @@
 """Error bars for any regression network: MC dropout, conformal calibration, exact coverage laws."""
 
-from uncal.uncertainty.absolute import AbsoluteCalibrator
-from uncal.uncertainty.calibrator import IntervalCalibrator
-from uncal.uncertainty.conformal import (
+from uncal.errors import (
+    NotCalibratedError,
+    PredictorMismatchError,
+    UncertaintyError,
+)
+from uncal.uncertainty.conformal.absolute import AbsoluteCalibrator
+from uncal.uncertainty.conformal.calibrator import IntervalCalibrator
+from uncal.uncertainty.conformal.coverage_law import coverage_band, coverage_law
+from uncal.uncertainty.conformal.cqr import QuantileCalibrator
+from uncal.uncertainty.conformal.gaussian import GaussianIntervals
+from uncal.uncertainty.conformal.hierarchical import HierarchicalCalibrator
+from uncal.uncertainty.conformal.mondrian import MondrianCalibrator
+from uncal.uncertainty.conformal.split_conformal import (
     ConformalCalibrator,
     Intervals,
     conformal_quantile,
@@ -10,20 +20,10 @@ from uncal.uncertainty.conformal import (
     miscoverage,
     samples_needed,
 )
-from uncal.uncertainty.coverage_law import coverage_band, coverage_law
-from uncal.uncertainty.cqr import QuantileCalibrator
-from uncal.uncertainty.dropout import dropout_layers, dropout_rates, insert_dropout
-from uncal.uncertainty.errors import (
-    NotCalibratedError,
-    PredictorMismatchError,
-    UncertaintyError,
-)
-from uncal.uncertainty.fingerprint import PredictorIdentity, fingerprint
-from uncal.uncertainty.gaussian import GaussianIntervals
-from uncal.uncertainty.hierarchical import HierarchicalCalibrator
-from uncal.uncertainty.masks import FixedMasks
-from uncal.uncertainty.mc_dropout import MCDropout, Prediction
-from uncal.uncertainty.mondrian import MondrianCalibrator
+from uncal.uncertainty.dropout.fingerprint import PredictorIdentity, fingerprint
+from uncal.uncertainty.dropout.layers import dropout_layers, dropout_rates, insert_dropout
+from uncal.uncertainty.dropout.masks import FixedMasks
+from uncal.uncertainty.dropout.mc_dropout import MCDropout, Prediction
 
 __all__ = [
     "AbsoluteCalibrator",

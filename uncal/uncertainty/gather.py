@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 from torch import distributed as dist
 
-from uncal.uncertainty.errors import UncertaintyError
+from uncal.errors import UncertaintyError
 
 
 def gather_by_id(ids: Tensor, *tensors: Tensor) -> tuple[Tensor, ...]:

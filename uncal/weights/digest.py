@@ -15,37 +15,18 @@ from torch import nn
 PACKAGE = Path(__file__).resolve().parents[1]
 
 TRAINING_CODE: tuple[str, ...] = (
-    "geometry.py",
-    "projection.py",
-    "decalibration.py",
-    "displacement.py",
+    "geometry",
     "edges",
     "recordings",
     "events",
     "data",
     "models",
-    "uncertainty/dropout.py",
+    "uncertainty/dropout",
 )
-"""The parts of this package that decide what is learnt, but for :data:`APART`."""
+"""Folders of this package whose code decides what is learnt."""
 
-INFERENCE_CODE: tuple[str, ...] = (*TRAINING_CODE, "models/prediction.py", "uncertainty")
-"""The parts that decide what a stochastic pass gives."""
-
-APART: tuple[str, ...] = (
-    "data/splits.py",
-    "data/blocks.py",
-    "data/left_out.py",
-    "data/sequence_split.py",
-    "data/split_settings.py",
-    "data/windows.py",
-    "models/control.py",
-    "models/edge_alignment.py",
-    "models/pose_search.py",
-    "models/inference.py",
-    "models/prediction.py",
-)
-"""Files in those folders that only choose frames, whose names count by themselves, look on, or
-learn nothing."""
+INFERENCE_CODE: tuple[str, ...] = (*TRAINING_CODE, "inference")
+"""Folders whose code decides what a stochastic pass gives."""
 
 _LIBRARIES = ("torch", "lightning", "torchmetrics", "transformers", "uncal")
 
@@ -86,18 +67,14 @@ def digest_of_file(path: Path) -> str:
 
 @cache
 def digest_of_code(parts: tuple[str, ...]) -> str:
-    """Digest of source files of this package; comments, docstrings and layout do not count.
+    """Digest of folders of this package; comments, docstrings and layout do not count.
 
     Of the files as they are when a process first asks, since it goes on with the code it has.
 
     Returns:
         16 hexadecimal digits.
     """
-    files: set[Path] = set()
-    for part in parts:
-        path = PACKAGE / part
-        apart = {PACKAGE / name for name in APART}
-        files.update(set(path.rglob("*.py")) - apart if path.is_dir() else [path])
+    files = {path for part in parts for path in (PACKAGE / part).rglob("*.py")}
     return digest_of({path.relative_to(PACKAGE).as_posix(): meaning(path) for path in files})
 
 

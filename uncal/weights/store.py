@@ -11,8 +11,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from uncal.locking import locked
 from uncal.reporting.layout import read_json, replaced_whole, write_whole
+from uncal.system.locking import locked
 from uncal.weights.digest import digest_of
 
 log = logging.getLogger(__name__)

@@ -18,7 +18,7 @@ from uncal.recordings.frame import Frame
 from uncal.recordings.kitti import KittiRaw
 from uncal.simulation.cache import ensure_simulated
 from uncal.simulation.faults import Fault
-from uncal.simulation.motion import read_truth
+from uncal.simulation.sensors.mount_motion import read_truth
 from uncal.simulation.settings import MotionSettings, SimulationSettings
 
 STILL, STEP, FAULT, BLIND = "still", "step", "fault", "blind"

@@ -1,0 +1,1 @@
+"""Stochastic passes over a whole split, the image-blind control, and their settings."""

@@ -1,0 +1,145 @@
+"""What another process needs of trained weights: their settings and their state."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import lightning
+import torch
+from lightning.pytorch.callbacks import ModelCheckpoint
+from omegaconf import DictConfig
+from torch import Tensor
+
+from uncal.errors import ConfigurationError
+from uncal.models.module import CalibrationModule
+from uncal.runs.saving import save_whole
+from uncal.weights.shipped import load_checkpoint, load_shipped
+
+OWN: tuple[str, ...] = ("calibrator.", "ellipsoid.", "masks.", "monitor.")
+"""Parts of the state that belong to the calibration (or to the monitor), not to the weights."""
+
+
+def load_weights(module: CalibrationModule, path: Path, calibrated: bool) -> None:
+    """Load weights.
+
+    Args:
+        module: of the same network.
+        path: a checkpoint, or shipped weights.
+        calibrated: whether their calibrator is of the module's kind, and wanted.
+
+    Raises:
+        ConfigurationError: the weights are another network's.
+    """
+    state, _ = _read(path)
+    own = [key for key in state if key.startswith(OWN)]
+    if not calibrated:
+        state = {key: value for key, value in state.items() if key not in own}
+    elif module.masks is None:
+        state.pop("masks.seed", None)
+    _load(module, state, path)
+
+
+def check_start(module: CalibrationModule, path: Path, epochs: int) -> None:
+    """Refuse a checkpoint that a training of this network cannot go on from.
+
+    Args:
+        module: of the training.
+        path: what ``ckpt=`` names.
+        epochs: of the training as a whole.
+
+    Raises:
+        ConfigurationError: no such file, not a checkpoint of this project, another network's,
+            weights without the state of their training, or of more epochs already.
+    """
+    state, _ = load_checkpoint(path)
+    _check_shapes(module, state, path)
+    missing = [key for key in module.state_dict() if key not in state and not key.startswith(OWN)]
+    unknown = [key for key in state if key not in module.state_dict() and not key.startswith(OWN)]
+    if missing or unknown:
+        raise ConfigurationError(
+            f"ckpt={path}: {', '.join((*missing, *unknown)[:3])}: not of this network; give the "
+            "settings under model= that it was trained with"
+        )
+    content = torch.load(path, map_location="cpu", weights_only=True)
+    if "optimizer_states" not in content:
+        raise ConfigurationError(
+            f"ckpt={path}: holds weights, but not the state of their training, which ckpt= goes on "
+            f"with; give a run's last.ckpt, or start a training from the weights: "
+            f"model.weights={path}"
+        )
+    seen = int(content["epoch"]) + 1
+    if seen > epochs:
+        raise ConfigurationError(
+            f"ckpt={path}: has {seen} epochs behind it, trainer.max_epochs={epochs} ends before: "
+            f"give a number from {seen} on, which counts from the first epoch"
+        )
+
+
+def start_from(module: CalibrationModule, path: Path) -> None:
+    """Begin a training with weights instead of random numbers.
+
+    Args:
+        module: of the same network, not trained yet.
+        path: a checkpoint, or shipped weights.
+
+    Raises:
+        ConfigurationError: the weights are another network's.
+    """
+    state, _ = _read(path)
+    _load(module, {k: v for k, v in state.items() if not k.startswith(OWN)}, path)
+
+
+def save_weights(module: CalibrationModule, path: Path) -> None:
+    """Write a checkpoint for :mod:`uncal.evaluate`: weights, calibrator and settings of this run.
+
+    Args:
+        module: trained and calibrated.
+        path: the checkpoint; its folder is made if it is not there.
+    """
+    save_whole({"state_dict": module.state_dict(), "uncal_recipe": module.recipe}, path)
+
+
+def read_recipe(path: Path) -> DictConfig:
+    """The settings that weights were trained with.
+
+    Args:
+        path: a checkpoint, or shipped weights.
+
+    Returns:
+        The parts of the configuration named by :data:`uncal.runs.assembly.RECIPE`.
+
+    Raises:
+        ConfigurationError: no such file, or not of this project.
+    """
+    return _read(path)[1]
+
+
+def last_checkpoint(trainer: lightning.Trainer) -> Path | None:
+    """Where a trainer keeps what it has after every epoch; None if it does not."""
+    for callback in trainer.checkpoint_callbacks:
+        if isinstance(callback, ModelCheckpoint) and callback.filename == "last":
+            return Path(str(callback.dirpath)) / "last.ckpt"
+    return None
+
+
+def _read(path: Path) -> tuple[dict[str, Tensor], DictConfig]:
+    return load_shipped(path) if path.suffix == ".safetensors" else load_checkpoint(path)
+
+
+def _check_shapes(module: CalibrationModule, state: dict[str, Tensor], path: Path) -> None:
+    shapes = {key: value.shape for key, value in module.state_dict().items()}
+    other = [
+        key
+        for key, value in state.items()
+        if not key.startswith(OWN) and key in shapes and shapes[key] != value.shape
+    ]
+    if other:
+        raise ConfigurationError(f"{path}: {', '.join(other[:3])}: of another size of network")
+
+
+def _load(module: CalibrationModule, state: dict[str, Tensor], path: Path) -> None:
+    _check_shapes(module, state, path)
+    missing, unknown = module.load_state_dict(state, strict=False)
+    wrong = [key for key in (*missing, *unknown) if not key.startswith(OWN)]
+    if wrong:
+        raise ConfigurationError(f"{path}: {', '.join(wrong[:3])}: not of this network")

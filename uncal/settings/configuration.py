@@ -1,0 +1,160 @@
+"""Where the YAML lives, and how entry points end when a user's input is wrong."""
+
+from __future__ import annotations
+
+import functools
+import logging
+import os
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import ParamSpec, TypeVar
+
+from hydra._internal.hydra import Hydra
+from hydra.core.hydra_config import HydraConfig
+from hydra.errors import CompactHydraException, InstantiationException
+from hydra.types import RunMode
+
+from uncal.errors import ConfigurationError, UncalError
+from uncal.settings import sweep_source
+from uncal.settings.guard import explain
+from uncal.system.disk import disk_trouble
+from uncal.system.memory import memory_trouble
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+FULL_ERROR = "HYDRA_FULL_ERROR"
+"""Environment variable; 1 shows the whole traceback in place of the message alone."""
+
+INTERRUPTED = 130
+"""Exit code after Ctrl-C, as a shell gives it (128 + SIGINT)."""
+
+
+def find_config_dir(package: Path) -> str:
+    """Absolute path of the configuration folder.
+
+    Raises:
+        ConfigurationError: neither exists.
+    """
+    candidates = [package.parent / "conf", package / "conf"]
+    for candidate in candidates:
+        if (candidate / "simulate.yaml").is_file():
+            return str(candidate)
+    raise ConfigurationError(
+        f"no configuration folder at {' or '.join(map(str, candidates))}; reinstall uncal"
+    )
+
+
+CONFIG_DIR: str = find_config_dir(Path(__file__).resolve().parents[1])
+"""For ``hydra.main(config_path=CONFIG_DIR, ...)``."""
+
+sweep_source.register()
+
+
+def _explains_the_disk(start: Callable[P, R]) -> Callable[P, R]:
+    """Make what Hydra meets before a job starts, such as a full disk, a sentence too."""
+
+    @functools.wraps(start)
+    def explained(*args: P.args, **kwargs: P.kwargs) -> R:
+        try:
+            return start(*args, **kwargs)
+        except OSError as error:
+            trouble = disk_trouble(error)
+            if trouble is None or os.environ.get(FULL_ERROR) == "1":
+                raise
+            raise CompactHydraException(trouble) from error
+
+    return explained
+
+
+# Hydra makes the run's folder itself, prints what goes wrong there, and offers no hook before it.
+Hydra.run = _explains_the_disk(Hydra.run)  # type: ignore[method-assign]
+Hydra.multirun = _explains_the_disk(Hydra.multirun)  # type: ignore[method-assign]
+
+
+def exits_on_error(main: Callable[P, R]) -> Callable[P, R]:
+    """Make an entry point end with the message alone and exit code 1 on an :class:`UncalError`.
+
+    Ctrl-C ends it without a traceback too. Stands below ``@hydra.main``, which would otherwise
+    print one; ``HYDRA_FULL_ERROR=1`` brings the traceback back. In a multirun the error ends its
+    own job only: the other jobs run, then Hydra prints the message and ends with exit code 1.
+    Ctrl-C ends the whole multirun.
+
+    >>> @exits_on_error
+    ... def main() -> None:
+    ...     raise UncalError("no frames in /data; set root=...")
+    >>> main()
+    Traceback (most recent call last):
+    SystemExit: no frames in /data; set root=...
+    """
+
+    @functools.wraps(main)
+    def wrapped(*args: P.args, **kwargs: P.kwargs) -> R:
+        try:
+            return main(*args, **kwargs)
+        except UncalError as error:
+            if os.environ.get(FULL_ERROR) == "1":
+                raise
+            raise _ending(error) from error
+        except InstantiationException as error:
+            if os.environ.get(FULL_ERROR) == "1":
+                raise
+            # Hydra wraps what a constructor raises, and shows its line breaks as \\n.
+            raise _ending(explain(error)) from error
+        except KeyboardInterrupt:
+            raise SystemExit(INTERRUPTED) from None
+        except Exception as error:
+            trouble = disk_trouble(error) or memory_trouble(error)
+            if trouble is None or os.environ.get(FULL_ERROR) == "1":
+                raise
+            raise _ending(UncalError(trouble)) from error
+
+    return wrapped
+
+
+def _ending(error: UncalError) -> BaseException:
+    interrupted = isinstance(error.__cause__, SystemExit | KeyboardInterrupt)
+    multirun = HydraConfig.initialized() and HydraConfig.get().mode == RunMode.MULTIRUN
+    if multirun and not interrupted:
+        # Hydra's launcher notes an Exception as its job's failure, but SystemExit passes through;
+        # of this class it prints the message without a traceback.
+        return CompactHydraException(str(error))
+    return SystemExit(str(error))
+
+
+def job_folder() -> Path:
+    """The output folder of the run that Hydra has started."""
+    return Path(HydraConfig.get().runtime.output_dir)
+
+
+def job_overrides() -> list[str]:
+    """What tells this run from the default one, as words of a command line."""
+    hydra = HydraConfig.get()
+    folders = [
+        source.path
+        for source in hydra.runtime.config_sources
+        if source.provider == "command-line" and source.schema == "file"
+    ]
+    # As one would type it: Hydra has made the path absolute.
+    typed = [os.path.relpath(path) for path in folders]
+    return [*(part for path in typed for part in ("-cd", path)), *hydra.overrides.task]
+
+
+def in_multirun() -> bool:
+    """Whether this run is a job of a multirun."""
+    return bool(HydraConfig.get().mode == RunMode.MULTIRUN)
+
+
+def quiet_libraries() -> None:
+    """Silence what a user cannot act on, and print warnings as the sentences they are."""
+    warnings.formatwarning = lambda message, *_, **__: f"warning: {message}\n"
+    for name in ("lightning.pytorch", "lightning.fabric"):
+        logging.getLogger(name).setLevel(logging.WARNING)
+    for message in (
+        ".*does not have many workers.*",
+        ".*isinstance.treespec, LeafSpec.*",
+        ".*Checkpoint directory .* exists and is not empty.*",
+        ".*The number of training batches .* is smaller than the logging interval.*",
+    ):
+        warnings.filterwarnings("ignore", message=message)

@@ -1,0 +1,1 @@
+"""Simulated drives in the layouts of KITTI, DSEC and ROS bags."""

@@ -1,0 +1,1 @@
+"""What stands in a simulated street, as textured triangles."""

@@ -1,0 +1,134 @@
+"""Triangles in an Embree scene: which one a ray meets, and whether the sun shines there."""
+
+from __future__ import annotations
+
+import numpy as np
+from embreex.mesh_construction import TriangleMesh  # type: ignore[import-untyped]
+from embreex.rtcore_scene import EmbreeScene  # type: ignore[import-untyped]
+from numpy.typing import NDArray
+
+from uncal.simulation.scene.meshes import Array, Mesh, Points
+from uncal.simulation.scene.sky import Sky
+from uncal.simulation.scene.textures import SIZE, TextureLibrary
+
+SHADOW_OFFSET_M = 0.01
+"""Shadow rays start this far above the surface, so that it does not shade itself."""
+
+NOTHING = -1
+"""Triangle number of a ray that meets nothing; the tables' last row, which is all zero, is its."""
+
+Numbers = NDArray[np.int32]
+
+
+class Scene:
+    """A street that can be asked what a ray meets.
+
+    Attributes:
+        sky: the light.
+        textures: the library that ``texture`` refers to.
+        corners: (T, 3) float64 first corner of each triangle, world coordinates.
+        normals: (T, 3) float64 outward unit normals.
+        u_slope: (T, 3) float64 change of the texture coordinate u per metre in each direction.
+        v_slope: (T, 3) float64 the same for v.
+        uv: (T, 2) float64 texture coordinates of the first corners.
+        texel_density: (T,) float64 texels per metre.
+        texture: (T + 1,) int32 texture numbers.
+        look: (T + 1, 8) float32 albedo where the texture's blend is 0, its change to where it is 1
+            (3 + 3), share of the sky's light, share of the sun's.
+        reflectance: (T + 1, 2) float32 at the LiDAR's wavelength, likewise.
+    """
+
+    def __init__(
+        self, mesh: Mesh, sky: Sky, textures: TextureLibrary, reach: tuple[float, float]
+    ) -> None:
+        """Build the Embree scene.
+
+        Args:
+            mesh: all triangles, wound counter-clockwise as seen from outside.
+            sky: the light, for what depends on the surfaces' orientation alone.
+            textures: the library that the mesh's texture numbers refer to.
+            reach: smallest and largest world x of the triangles to keep, metres.
+        """
+        every = np.concatenate(mesh.triangles)
+        x = every[:, :, 0]
+        keep = (x.max(1) > reach[0]) & (x.min(1) < reach[1])
+        # Embree reads this buffer for as long as the scene lives.
+        self._buffer = np.ascontiguousarray(every[keep], np.float32)
+        triangles = self._buffer.astype(np.float64)
+        uv = np.concatenate(mesh.uv)[keep].astype(np.float64)
+        edges: Points = triangles[:, 1:] - triangles[:, :1]
+        normals: Points = np.cross(edges[:, 0], edges[:, 1])
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True).clip(1e-12)
+        slopes = _slopes(edges, uv[:, 1:] - uv[:, :1])
+        colours = np.concatenate(mesh.colours)[keep]
+        self.sky = sky
+        self.textures = textures
+        self.corners: Points = triangles[:, 0]
+        self.normals: Points = normals
+        self.u_slope, self.v_slope = slopes[:, 0], slopes[:, 1]
+        self.uv: Points = uv[:, 0]
+        self.texel_density = np.concatenate(mesh.texel_density)[keep].astype(np.float64) * SIZE
+        self.texture = np.append(np.concatenate(mesh.texture)[keep], 0).astype(np.int32)
+        # Even an overcast sky is brighter towards the sun: faces of one wall's corner differ.
+        ambient = 0.55 + 0.3 * normals[:, 2] + 0.15 * normals @ sky.to_sun
+        lit = (normals @ sky.to_sun).clip(0)
+        change = colours[:, 1] - colours[:, 0]
+        self.look: Array = _table(colours[:, 0], change, ambient[:, None], lit[:, None])
+        self.reflectance: Array = _table(np.concatenate(mesh.reflectance)[keep])
+        self._embree = EmbreeScene()
+        self._mesh = TriangleMesh(self._embree, self._buffer)
+
+    def __len__(self) -> int:
+        """Number of triangles."""
+        return len(self.corners)
+
+    def cast(self, origins: Array, directions: Array) -> Numbers:
+        """Number of the first triangle that each ray meets, or :data:`NOTHING`, (N,).
+
+        Args:
+            origins: (N, 3) float32 world coordinates, metres.
+            directions: (N, 3) float32, of any length.
+        """
+        return np.asarray(self._embree.run(origins, directions, query="INTERSECT"), np.int32)
+
+    def in_sun(self, points: Array, triangle: Numbers) -> Array:
+        """1 where nothing stands between a point on a triangle and the sun, else 0, (N,).
+
+        Args:
+            points: (N, 3) float32 world coordinates.
+            triangle: (N,) the triangles that the points lie on.
+        """
+        lit = np.zeros(len(points), np.float32)
+        facing = np.flatnonzero(self.look[:, 7].take(triangle) > 0)
+        lifted = points.take(facing, axis=0)
+        lifted += SHADOW_OFFSET_M * self.normals.take(triangle[facing], axis=0)
+        to_sun = np.empty_like(lifted)
+        to_sun[:] = self.sky.to_sun
+        lit[facing] = self._embree.run(lifted, to_sun, query="OCCLUDED") == NOTHING
+        return lit
+
+
+def _slopes(edges: Points, change: Points) -> Points:
+    """Gradients, in the triangle's plane, of quantities known at its corners.
+
+    g = a·e1 + b·e2 with g·e1 and g·e2 equal to the quantity's change along the two edges.
+
+    Args:
+        edges: (T, 2, 3) edges from the first corner.
+        change: (T, 2, Q) change of each quantity along them.
+
+    Returns:
+        (T, Q, 3) gradients.
+    """
+    gram = edges @ edges.transpose(0, 2, 1)
+    a, b, c = gram[:, 0, 0, None], gram[:, 0, 1, None], gram[:, 1, 1, None]
+    determinant = (a * c - b * b).clip(1e-12)
+    first = (c * change[:, 0] - b * change[:, 1]) / determinant
+    second = (a * change[:, 1] - b * change[:, 0]) / determinant
+    return np.asarray(first[..., None] * edges[:, :1] + second[..., None] * edges[:, 1:])
+
+
+def _table(*columns: NDArray[np.floating]) -> Array:
+    """Columns side by side, one row per triangle and one of zeros for :data:`NOTHING`."""
+    rows = np.concatenate(columns, axis=1, dtype=np.float32)
+    return np.concatenate([rows, np.zeros((1, rows.shape[1]), np.float32)])

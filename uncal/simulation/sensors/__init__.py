@@ -1,0 +1,1 @@
+"""Simulated cameras and LiDARs, and how a rig mounts them."""

@@ -1,0 +1,1 @@
+"""Which frames train, validate, calibrate the uncertainty and test."""

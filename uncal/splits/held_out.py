@@ -1,0 +1,81 @@
+"""Frames kept out of the splits on purpose: held-out rigs, training frames beyond a number."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from uncal.errors import ConfigurationError
+from uncal.recordings.frame import FrameId
+from uncal.splits.splits import by_name, seeded_hash
+
+
+def hold_out_rigs(
+    frame_ids: Sequence[FrameId], share: float, seed: int
+) -> tuple[list[FrameId], list[FrameId]]:
+    """Hold out rigs before anything is split, the same ones whatever the split is by.
+
+    Args:
+        frame_ids: all frames.
+        share: of the rigs, in [0, 1); rounded to whole rigs, at least one if above 0.
+        seed: another seed, other rigs.
+
+    Returns:
+        The frames that remain, in their order, and those of the held-out rigs, by name.
+
+    Raises:
+        ConfigurationError: ``share`` is out of range, or no rig would remain.
+
+    >>> frames = [FrameId(f"rig{i}", "drive", 0) for i in range(10)]
+    >>> kept, held_out = hold_out_rigs(frames, 0.2, seed=0)
+    >>> len(kept), len(held_out)
+    (8, 2)
+    """
+    rigs = sorted(
+        {frame_id.rig for frame_id in frame_ids},
+        key=lambda rig: seeded_hash(seed, f"unseen:{rig}"),
+    )
+    # Not "share < 0 or share >= 1", which lets NaN pass.
+    if not 0 <= share < 1:
+        raise ConfigurationError(
+            f"split.unseen_rigs={share}: expected a share of the {len(rigs)} rig(s), 0 or more and "
+            "below 1, say 0.2"
+        )
+    n_out = max(1, math.floor(share * len(rigs) + 0.5)) if share > 0 else 0
+    if 0 < n_out >= len(rigs):
+        raise ConfigurationError(
+            f"split.unseen_rigs={share} holds out {n_out} of {len(rigs)} rig(s), so that none "
+            "remains to train on: use a smaller share, add recordings of other rigs, or set "
+            "split.unseen_rigs=0"
+        )
+    out = set(rigs[:n_out])
+    kept = [frame_id for frame_id in frame_ids if frame_id.rig not in out]
+    held_out = [frame_id for frame_id in frame_ids if frame_id.rig in out]
+    return kept, sorted(held_out, key=by_name)
+
+
+def cap_training(training: Sequence[FrameId], n: int, seed: int) -> list[FrameId]:
+    """Choose exactly ``n`` training frames, pseudo-randomly, so that all drives stay represented.
+
+    The choice depends neither on the order of the frames nor on a random generator's version, and a
+    smaller one is part of every larger one.
+
+    Raises:
+        ConfigurationError: ``n`` is not positive, or there are fewer frames.
+
+    >>> training = [FrameId("rig", "drive", index) for index in range(100)]
+    >>> len(cap_training(training, 30, seed=0))
+    30
+    """
+    if not isinstance(n, int) or n < 1:
+        raise ConfigurationError(
+            f"split.train_frames={n}: expected a whole number of at least 1, or null for all"
+        )
+    if n > len(training):
+        raise ConfigurationError(
+            f"split.train_frames={n}, but this split has {len(training)} training frames: set "
+            f"split.train_frames={len(training)} or less (null: all), raise the training share of "
+            "the split's fractions, or add recordings"
+        )
+    order = sorted(training, key=lambda frame_id: seeded_hash(seed, f"training:{frame_id}"))
+    return sorted(order[:n], key=by_name)

@@ -1,0 +1,157 @@
+"""What ``conf/split`` says, and the split that follows from it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from uncal.errors import ConfigurationError
+from uncal.recordings.frame import FrameId
+from uncal.splits.blocks import blocks, leave_gaps
+from uncal.splits.held_out import cap_training, hold_out_rigs
+from uncal.splits.sequence_split import FrameSplit, OfficialSettings, split_officially
+from uncal.splits.splits import split_frames
+
+TESTERS: tuple[str, ...] = ("own", "unseen")
+"""Who may test: the split's own test part, or the rigs held out before the split."""
+
+
+@dataclass(frozen=True)
+class SplitSettings:
+    """How frames are shared out.
+
+    What trains, validates and calibrates does not depend on ``test``: one training serves both.
+    The later settings do nothing by default, as in checkpoints that were made before them.
+
+    Attributes:
+        by: ``frame``, ``block``, ``drive`` or ``rig``: what is never torn apart; or ``official``.
+        fractions: of the frames, in the order of :data:`uncal.splits.splits.SPLITS`.
+        seed: of the shuffle.
+        official: how ``official`` shares frames out.
+        block_frames: of ``by=block``, consecutive frames of a drive.
+        block_gap: of ``by=block``, frames in no split where blocks of different splits meet.
+        unseen_rigs: share of the rigs that is held out before anything is split.
+        test: ``own``, the split's own test part, or ``unseen``, all frames of the held-out rigs.
+        train_frames: exactly so many of the training frames; None: all.
+    """
+
+    by: str
+    fractions: tuple[float, float, float, float]
+    seed: int
+    official: OfficialSettings | None = None
+    block_frames: int | None = None
+    block_gap: int = 0
+    unseen_rigs: float = 0.0
+    test: str = "own"
+    train_frames: int | None = None
+
+    def split(self, frame_ids: Sequence[FrameId], window: int = 1) -> FrameSplit:
+        """Share frames out.
+
+        Args:
+            frame_ids: all of them.
+            window: consecutive frames that one estimate is made of; ``frame`` and ``block`` keep
+                whole windows together, so that those of one split never reach into another.
+
+        Returns:
+            The split; frames that a setting leaves out are in none.
+
+        Raises:
+            ConfigurationError: a setting is out of range or does not fit these frames.
+        """
+        self._check()
+        kept, held_out = hold_out_rigs(frame_ids, self.unseen_rigs, self.seed)
+        try:
+            shared = self._share_out(kept, window)
+        except ConfigurationError as error:
+            if not held_out:
+                raise
+            raise ConfigurationError(
+                f"{error} (split.unseen_rigs={self.unseen_rigs} had held out {_n_rigs(held_out)} "
+                "rig(s) before)"
+            ) from error
+        frames, notes = dict(shared.frames), [shared.note] if shared.note else []
+        if self.train_frames is not None:
+            available = len(frames["train"])
+            frames["train"] = cap_training(frames["train"], self.train_frames, self.seed)
+            if available > self.train_frames:
+                notes.append(
+                    f"Training uses {self.train_frames} of {available} frames (split.train_frames)."
+                )
+        if self.test == "unseen":
+            frames["test"] = held_out
+        if held_out:
+            notes.append(self._unseen_note(frames, held_out))
+        return FrameSplit(frames, " ".join(notes))
+
+    def _check(self) -> None:
+        if self.test not in TESTERS:
+            raise ConfigurationError(
+                f"split.test={self.test}: expected own (the split's own test part) or unseen (the "
+                "rigs that split.unseen_rigs holds out)"
+            )
+        if self.test == "unseen" and self.unseen_rigs == 0:
+            raise ConfigurationError(
+                "split.test=unseen tests on the rigs held out before the split, but "
+                "split.unseen_rigs=0 holds out none: set split.unseen_rigs to a share of the "
+                "rigs, say 0.2, or use split.test=own"
+            )
+        if self.by == "official" and self.unseen_rigs != 0:
+            raise ConfigurationError(
+                f"split.unseen_rigs={self.unseen_rigs}, but split.by=official tests on sequences "
+                "that DSEC names: set split.unseen_rigs=0, or use split.by=frame, block, drive or "
+                "rig"
+            )
+
+    def _share_out(self, frame_ids: Sequence[FrameId], window: int) -> FrameSplit:
+        if self.by == "official" and self.official is not None:
+            return split_officially(frame_ids, self.official, self.seed)
+        if self.by == "frame" and window > 1:
+            return FrameSplit(
+                split_frames(frame_ids, "block", self.fractions, self.seed, window),
+                f"Windows of {window} consecutive frames are kept whole.",
+            )
+        if self.by == "block" and (self.block_frames or 0) % window:
+            raise ConfigurationError(
+                f"split.block_frames={self.block_frames}: expected a multiple of "
+                f"window.frames={window}, so that no window reaches into another split"
+            )
+        whole = split_frames(frame_ids, self.by, self.fractions, self.seed, self.block_frames)
+        if self.by != "block":
+            return FrameSplit(whole, "")
+        frames = leave_gaps(whole, self.block_frames, self.block_gap)
+        note = f"A block is {self.block_frames} consecutive frames of a drive."
+        drives = {(frame_id.rig, frame_id.drive) for frame_id in frame_ids}
+        if len(blocks(frame_ids, self.block_frames)) == len(drives):
+            note += " No drive makes two of them, so that this is a split by drive."
+        if left_out := sum(len(whole[name]) - len(frames[name]) for name in whole):
+            note += (
+                f" {left_out} frame(s) between blocks of different splits are in none "
+                f"(split.block_gap={self.block_gap})."
+            )
+        return FrameSplit(frames, note)
+
+    def _unseen_note(self, frames: dict[str, list[FrameId]], held_out: Sequence[FrameId]) -> str:
+        if self.test == "own":
+            return (
+                f"{_n_rigs(held_out)} rig(s) ({len(held_out)} frames) were held out before the "
+                "split and are not used; split.test=unseen would test on them."
+            )
+        note = (
+            f"The test frames are those of {_n_rigs(held_out)} rig(s) held out before the split "
+            "(split.test=unseen)."
+        )
+        trained, calibrated = (
+            {frame_id.rig for frame_id in frames[name]}
+            for name in ("train", "uncertainty_calibration")
+        )
+        if trained & calibrated:
+            note += (
+                " The uncertainty was calibrated on rigs that training has seen, so that the "
+                "coverage guarantee does not reach these frames."
+            )
+        return note
+
+
+def _n_rigs(frame_ids: Sequence[FrameId]) -> int:
+    return len({frame_id.rig for frame_id in frame_ids})

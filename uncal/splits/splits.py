@@ -1,0 +1,143 @@
+"""Which frames train, validate, calibrate the uncertainty and test; no frame does two of these."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Iterable, Sequence
+
+from uncal.errors import ConfigurationError
+from uncal.recordings.frame import FrameId
+from uncal.splits.blocks import blocks
+
+SPLITS: tuple[str, ...] = ("train", "validation", "uncertainty_calibration", "test")
+"""The four splits, in the order of their fractions."""
+
+UNITS: tuple[str, ...] = ("frame", "block", "drive", "rig")
+"""What may be kept whole: a frame (near-duplicates leak), a block, a drive, a rig."""
+
+_SUM_TOLERANCE = 1e-6
+
+
+def split_frames(
+    frame_ids: Iterable[FrameId],
+    by: str,
+    fractions: Sequence[float],
+    seed: int,
+    block_frames: int | None = None,
+) -> dict[str, list[FrameId]]:
+    """Split frames into :data:`SPLITS`, keeping frames, blocks, drives or rigs whole.
+
+    The units are put in a pseudo-random order and each goes to the split that lacks most frames.
+    With frames as units this is rounding by largest remainder. Every split with a fraction above
+    zero gets a unit. Units are not sorted by size first, although that would meet the fractions
+    more closely: a split of the largest drives would not be exchangeable with the others.
+
+    The order is that of a hash of (seed, name of the unit), so the result depends neither on the
+    order of ``frame_ids`` nor on a random generator's version.
+
+    Args:
+        frame_ids: all frames to be split, each once.
+        by: one of :data:`UNITS`.
+        fractions: of all frames, one per split, summing to 1.
+        seed: another seed, another split.
+        block_frames: of ``by="block"``, how many consecutive frames of a drive are a block; see
+            :func:`uncal.splits.blocks.blocks`.
+
+    Returns:
+        Split → its frames, sorted by rig, drive and number; together exactly ``frame_ids``.
+
+    Raises:
+        ConfigurationError: ``by`` or ``fractions`` are out of range, or there are fewer units than
+            splits to fill.
+        ValueError: a frame comes twice.
+
+    >>> frames = [FrameId("rig", "drive", index) for index in range(40)]
+    >>> splits = split_frames(frames, "frame", (0.6, 0.15, 0.15, 0.1), seed=0)
+    >>> [len(splits[name]) for name in SPLITS]
+    [24, 6, 6, 4]
+    """
+    _check(by, fractions)
+    units = _units(frame_ids, by, block_frames)
+    n_frames = sum(map(len, units.values()))
+    used = [split for split, fraction in enumerate(fractions) if fraction > 0]
+    if len(units) < len(used):
+        raise ConfigurationError(_too_few(units, by, len(used)))
+
+    lacking = [fraction * n_frames for fraction in fractions]
+    members: list[list[FrameId]] = [[] for _ in SPLITS]
+    order = sorted(units, key=lambda name: seeded_hash(seed, name))
+    for position, name in enumerate(order):
+        empty = [split for split in used if not members[split]]
+        candidates = empty if len(order) - position == len(empty) else used
+        split = max(candidates, key=lambda split: lacking[split])
+        members[split] += units[name]
+        lacking[split] -= len(units[name])
+    return {
+        split: sorted(frames, key=by_name) for split, frames in zip(SPLITS, members, strict=True)
+    }
+
+
+def seeded_hash(seed: int, name: str) -> bytes:
+    """A number that orders names pseudo-randomly."""
+    return hashlib.blake2b(f"{seed}:{name}".encode(), digest_size=16).digest()
+
+
+def by_name(frame_id: FrameId) -> tuple[str, str, int]:
+    """Sort key: rig, drive and number."""
+    return frame_id.rig, frame_id.drive, frame_id.index
+
+
+def _units(
+    frame_ids: Iterable[FrameId], by: str, block_frames: int | None
+) -> dict[str, list[FrameId]]:
+    """Name of the unit → its frames."""
+    seen: set[FrameId] = set()
+    for frame_id in (members := list(frame_ids)):
+        if frame_id in seen:
+            raise ValueError(f"Frame {frame_id} comes twice; the splits could then share it.")
+        seen.add(frame_id)
+    if by == "block":
+        return blocks(members, block_frames)
+    units: dict[str, list[FrameId]] = {}
+    for frame_id in members:
+        # Drives of different rigs may share a name.
+        name = {
+            "frame": str(frame_id),
+            "drive": f"{frame_id.rig}/{frame_id.drive}",
+            "rig": frame_id.rig,
+        }[by]
+        units.setdefault(name, []).append(frame_id)
+    return units
+
+
+def _check(by: str, fractions: Sequence[float]) -> None:
+    if by not in UNITS:
+        raise ConfigurationError(
+            f"split.by is '{by}', expected one of {', '.join(UNITS)}, or official for DSEC."
+        )
+    if len(fractions) != len(SPLITS):
+        raise ConfigurationError(
+            f"split.fractions has {len(fractions)} numbers {list(fractions)}, "
+            f"expected {len(SPLITS)}: {', '.join(SPLITS)}."
+        )
+    # Not "any(fraction < 0)", which lets NaN pass.
+    if not all(fraction >= 0 for fraction in fractions):
+        raise ConfigurationError(f"split.fractions is {list(fractions)}, expected none below 0.")
+    total = math.fsum(fractions)
+    if abs(total - 1) > _SUM_TOLERANCE:
+        raise ConfigurationError(
+            f"split.fractions is {list(fractions)}, which sums to {total:.6g}, expected 1."
+        )
+
+
+def _too_few(units: dict[str, list[FrameId]], by: str, n_splits: int) -> str:
+    some = ", ".join(sorted(units)[:8]) or "none"
+    remedy = {
+        "frame": "add frames (a smaller stride, more drives)",
+        "block": "lower split.block_frames, or add recordings",
+    }.get(by, "use split.by=frame, or add recordings")
+    return (
+        f"split.by={by} needs at least {n_splits} {by}s, one per split, but there are "
+        f"{len(units)} ({some}): {remedy}."
+    )

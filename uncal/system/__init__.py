@@ -1,0 +1,1 @@
+"""Disk, locks, memory and progress bars."""

@@ -1,0 +1,1 @@
+"""Interval methods: split conformal prediction, its relatives, and their coverage laws."""

@@ -1,0 +1,1 @@
+"""MC dropout for any network."""
