@@ -12,6 +12,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -51,7 +52,9 @@ def main(out: Path, root: Path, rigs: int = 40, seed: int = 0) -> None:
     known = {drive.split("/")[0] for drive in references.drives}
     names = sorted(path.name for path in root.iterdir() if path.is_dir())
     path = out.with_suffix(".csv")
-    rows = pd.read_csv(path).to_dict("records") if path.is_file() else []
+    rows: list[dict[Any, Any]] = []
+    if path.is_file():
+        rows = pd.read_csv(path).to_dict("records")
     for name in [name for name in names if name not in known][:rigs]:
         if any(row["rig"] == name for row in rows):
             continue
@@ -103,9 +106,9 @@ def _page(table: pd.DataFrame, root: Path, seed: int) -> str:
     for stage in table.stage.unique():
         error = table[table.stage == stage][list(DOF_NAMES)].abs().to_numpy()
         worst = (error / RANGE).max(1)
-        shares = " | ".join(f"{(worst <= k).sum()}/{len(worst)}" for k in (1.0, 0.5))
+        within = " | ".join(f"{(worst <= k).sum()}/{len(worst)}" for k in (1.0, 0.5))
         median = " | ".join(f"{m:.2f}" for m in np.median(error, 0) * DOF_SCALE)
-        lines.append(f"| {stage} | {shares} | {median} |")
+        lines.append(f"| {stage} | {within} | {median} |")
     last = table[table.stage == LAST]
     half = last[[f"half {name}" for name in DOF_NAMES]].to_numpy()
     held = (last[list(DOF_NAMES)].abs().to_numpy() <= half).mean(0)

@@ -32,7 +32,7 @@ def main(config: DictConfig) -> None:
     import torch
 
     from uncal.benchmarking.latency import measure_latency
-    from uncal.benchmarking.made_up import made_up
+    from uncal.benchmarking.synthetic_inputs import synthetic_inputs
     from uncal.benchmarking.tables import write_latency, write_trade
     from uncal.benchmarking.trade import measure_trade
     from uncal.models.answer import Estimator
@@ -61,7 +61,9 @@ def main(config: DictConfig) -> None:
             raise ConfigurationError(f"cases: model={list(case.model)}: {reason}") from error
         estimator = cast(Estimator, build_module(model).to(device).eval().estimator)
         for batch in case.batches:
-            inputs = made_up(tuple(case.size), batch, int(model.model.inputs.edges), device)
+            inputs = synthetic_inputs(
+                tuple(case.size), batch, int(model.model.inputs.edges), device
+            )
             with torch.no_grad():
                 question = estimator.question(inputs)
             rows += measure_latency(

@@ -38,7 +38,7 @@ def main(config: DictConfig) -> float:
     from uncal.settings.check import check_settings, refuse_values
     from uncal.system.memory import keep_freed_memory
     from uncal.weights.digest import digest_of_file
-    from uncal.weights.obtain import Weights
+    from uncal.weights.load_or_train import Weights
     from uncal.weights.store import CHECKPOINT
 
     keep_freed_memory()

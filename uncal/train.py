@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from uncal.data.datamodule import CalibrationDataModule
     from uncal.models.module import CalibrationModule
-    from uncal.weights.obtain import Weights
+    from uncal.weights.load_or_train import Weights
 
 log = logging.getLogger(__name__)
 
@@ -44,7 +44,7 @@ def main(config: DictConfig) -> float:
     from uncal.system.memory import keep_freed_memory
     from uncal.weights.ingredients import data_ingredients, training_ingredients
     from uncal.weights.kept import stays_trained
-    from uncal.weights.obtain import Weights, obtain
+    from uncal.weights.load_or_train import Weights, load_or_train
     from uncal.weights.shipped import find_weights
     from uncal.weights.store import WeightStore
 
@@ -77,7 +77,7 @@ def main(config: DictConfig) -> float:
         path = fit(trainer, module, data, config.ckpt, f"ckpt={last} and the same settings")
         weights = Weights(path, "", reused=False, trained=None)
     else:
-        weights = obtain(
+        weights = load_or_train(
             WeightStore(Path(config.store), ingredients),
             partial(fit_or_resume, trainer, module, data),
             run=job_folder(),
@@ -107,7 +107,7 @@ def untrained(start: str | None) -> Weights:
     Raises:
         ConfigurationError: there is one.
     """
-    from uncal.weights.obtain import Weights
+    from uncal.weights.load_or_train import Weights
     from uncal.weights.store import CHECKPOINT
 
     if start is not None:

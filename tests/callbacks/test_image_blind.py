@@ -112,7 +112,7 @@ def test_the_control_is_a_row_of_the_tables(
 ) -> None:
     state = run_test(kitti_raw_root, tmp_path, slice(0, 3), ImageBlindControl())
     assert state.control is not None
-    assert len(state.control.place) == 4
+    assert len(state.control.index) == 4
     read = rows(tmp_path / "control.csv")
     assert [row["dof"] for row in read] == list(DOF_NAMES)
     for row, result in zip(read, rows(tmp_path / "results.csv"), strict=True):

@@ -78,7 +78,7 @@ def _module(data: CalibrationDataModule) -> CalibrationModule:
     target = torch.stack([RANGE.draw_for(5, str(frame)) for frame in frames])
     sigma = math.radians(0.01) * torch.arange(1.0, len(frames) + 1)
     module.run.tested = SplitPrediction(
-        place=torch.arange(len(frames)),
+        index=torch.arange(len(frames)),
         mean=target + math.radians(0.1),
         std=sigma[:, None].expand(-1, 6),
         target=target,
@@ -103,7 +103,7 @@ def test_three_pictures_from_widest_to_narrowest(
     data = _data(kitti_raw_root)
     module = _module(data)
     assert module.run.tested is not None
-    n = len(module.run.tested.place)
+    n = len(module.run.tested.index)
     assert n >= 3
     asked: list[dict[str, NDArray[np.float64]]] = []
 

@@ -19,7 +19,7 @@ def batch(n: int) -> Batch:
     columns[..., SIDE] = torch.randint(0, 2, (n, 500)).float() * 2 - 1
     edges = torch.cat([xyz[:, :500], columns[..., 3:]], -1)
     return Batch(
-        place=torch.arange(n),
+        unit_index=torch.arange(n),
         unit=torch.arange(n),
         frames=[FrameId("rig", "drive", i) for i in range(n)],
         camera=torch.randint(0, 256, (n, 3, 40, 64), dtype=torch.uint8),

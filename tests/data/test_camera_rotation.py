@@ -21,7 +21,7 @@ def batch_of(camera: torch.Tensor, K: torch.Tensor, points: torch.Tensor) -> Bat
     n = len(camera)
     lidar = torch.tensor([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
     return Batch(
-        place=torch.arange(n),
+        unit_index=torch.arange(n),
         unit=torch.arange(n),
         frames=[FrameId("rig", "drive", i) for i in range(n)],
         camera=camera,

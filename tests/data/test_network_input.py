@@ -29,7 +29,7 @@ def batch(camera: torch.Tensor) -> Batch:
     K = torch.tensor([[40.0, 0.0, 24.0], [0.0, 40.0, 16.0], [0.0, 0.0, 1.0]])
     T = torch.tensor([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
     return Batch(
-        place=torch.arange(n),
+        unit_index=torch.arange(n),
         unit=torch.arange(n),
         frames=[FrameId("rig", "drive", i) for i in range(n)],
         camera=camera,

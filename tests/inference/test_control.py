@@ -172,11 +172,11 @@ def control(subject: CalibrationDataModule, camera: float, points: float) -> Con
 def donors(found: ControlPrediction) -> dict[int, int]:
     """Frame → the frame whose image it was given, as the network that reads it shows."""
     given = {}
-    for place, blind in zip(found.place.tolist(), found.blind, strict=True):
+    for index, blind in zip(found.index.tolist(), found.blind, strict=True):
         # Another place in a batch may change the last bit of a mean.
         near = ((found.single - blind).abs() <= 1e-6 * RANGE.bounds).all(1)
         assert int(near.sum()) == 1
-        given[place] = int(found.place[near])
+        given[index] = int(found.index[near])
     return given
 
 
@@ -195,7 +195,7 @@ def contribution(found: ControlPrediction) -> Tensor:
 def test_each_frame_gets_the_image_of_the_one_before_it(n: int, batch: int, events: bool) -> None:
     subject = data(n, batch, events=events)
     found = control(subject, camera=1.0, points=0.0)
-    assert found.place.tolist() == list(range(n))
+    assert found.index.tolist() == list(range(n))
     assert list(found.frames) == subject.splits["test"]
     # The network is right with the frame's own image: the stripes have 8 bits.
     assert ((found.single - found.target).abs() <= RANGE.bounds / 200).all()
@@ -207,7 +207,7 @@ def test_each_frame_gets_the_image_of_the_one_before_it(n: int, batch: int, even
 def test_unreadable_frames_drop_out_of_the_cycle(readable: list[int], batch: int) -> None:
     subject = data(7, batch, unreadable=set(range(7)) - set(readable))
     found = control(subject, camera=1.0, points=0.0)
-    assert found.place.tolist() == readable
+    assert found.index.tolist() == readable
     order = control_order(subject.splits["test"], SEED)
     assert donors(found) == cycle([i for i in order if i in readable])
     assert len(subject.skipped) == 7 - len(readable)
@@ -283,7 +283,7 @@ def test_batches_and_processes_and_workers_change_nothing() -> None:
 
 def columns(found: ControlPrediction | None) -> list[Tensor]:
     assert found is not None
-    return [found.place, found.single, found.blind, found.target]
+    return [found.index, found.single, found.blind, found.target]
 
 
 def test_every_frame_is_loaded_once_and_one_more() -> None:
@@ -348,7 +348,7 @@ def test_the_part_among_some_frames() -> None:
     found = control(data(6), 0.5, 0.5)
     part = found.among(torch.tensor([4, 1, 77]))
     assert part is not None
-    assert part.place.tolist() == [1, 4]
+    assert part.index.tolist() == [1, 4]
     assert part.frames == (found.frames[1], found.frames[4])
     assert torch.equal(part.blind, found.blind[[1, 4]])
     assert found.among(torch.tensor([3])) is None

@@ -89,7 +89,7 @@ def network_input(batch: int) -> NetworkInput:
         K=K,
         T_init=T.expand(batch, 4, 4),
         target=RANGE.draw(batch),
-        place=torch.arange(batch),
+        unit_index=torch.arange(batch),
         frames=[FrameId("rig", "drive", i) for i in range(batch)],
         unit=torch.arange(batch),
         edges=edges,
@@ -161,7 +161,7 @@ def test_a_frame_gets_the_same_interval_in_any_batch(kind: str, fixed_masks: boo
         K=batch.K[2:],
         T_init=batch.T_init[2:],
         target=batch.target[2:],
-        place=batch.place[2:],
+        unit_index=batch.unit_index[2:],
         frames=batch.frames[2:],
         unit=torch.zeros(1).long(),
         edges=batch.edges[2:],
@@ -283,7 +283,7 @@ def test_passes_that_are_known_are_not_run_again(kind: str, tmp_path: Path) -> N
 def test_passes_of_a_window_are_not_those_of_its_frames(tmp_path: Path) -> None:
     subject, batch = module(alignment()).eval(), network_input(3)
     units = torch.tensor([0, 0, 1])
-    window = batch._replace(unit=units, place=torch.arange(2), target=batch.target[:2])
+    window = batch._replace(unit=units, unit_index=torch.arange(2), target=batch.target[:2])
     expected = subject.stochastic(window, "test")
     memory = PassMemory(tmp_path, 5)
     subject.remember(memory)
@@ -323,6 +323,6 @@ def test_each_spread_is_positive_and_only_a_solver_knows_its_own(spread: str) ->
 
 def test_a_network_without_normal_equations_refuses_windows() -> None:
     batch = network_input(3)
-    window = batch._replace(unit=torch.zeros(3).long(), place=torch.arange(1))
+    window = batch._replace(unit=torch.zeros(3).long(), unit_index=torch.arange(1))
     with pytest.raises(ConfigurationError, match=r"window\.frames"):
         module(estimator("mlp"))(window)

@@ -57,7 +57,7 @@ def batch_of(n: int, edges: int = 1000, size: tuple[int, int] = SIZE) -> Network
         K=camera.expand(n, 3, 3),
         T_init=decalibrate(T.expand(n, 4, 4), target),
         target=target,
-        place=torch.arange(n),
+        unit_index=torch.arange(n),
         frames=[FrameId("rig", "drive", i) for i in range(n)],
         unit=torch.arange(n),
         edges=rows,
@@ -105,7 +105,7 @@ def first_of(batch: NetworkInput) -> NetworkInput:
         K=batch.K[:1],
         T_init=batch.T_init[:1],
         target=batch.target[:1],
-        place=batch.place[:1],
+        unit_index=batch.unit_index[:1],
         frames=batch.frames[:1],
         unit=batch.unit[:1],
         edges=batch.edges[:1],
@@ -376,7 +376,7 @@ class Elsewhere(nn.Module):
     """A start that always answers the same."""
 
     def align(self, batch: NetworkInput) -> State:
-        pose = torch.linspace(-0.5, 0.5, 6).expand(len(batch.place), 6)
+        pose = torch.linspace(-0.5, 0.5, 6).expand(len(batch.unit_index), 6)
         return State(pose, 0.09 * torch.eye(6).expand(len(pose), 6, 6))
 
 

@@ -6,57 +6,22 @@ import csv
 import json
 import shutil
 import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import cast
 
 import numpy as np
 import pytest
-from omegaconf import OmegaConf
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from uncal.monitor.run_folder import COLUMNS
 from uncal.monitor.verdict import VERDICTS
-from uncal.settings.configuration import CONFIG_DIR
-from uncal.simulation.settings import SimulationSettings
-from uncal.simulation.writer import simulate
 
 Run = Callable[..., "subprocess.CompletedProcess[str]"]
 
-TINY = {
-    "n_rigs": 3,
-    "frames_per_drive": 4,
-    "camera": {"height": 48, "width": 128, "focal_px": 140.0},
-    "lidar": {"beams": 32, "azimuth_step_deg": 0.6},
-    "scene": {"view_m": 60.0},
-}
 COMMAND = "uncal.monitor.__main__"
-SETTINGS = ("window=2", "level=0.5", "exchangeable=window", "weights=unical")
 DRIVES = [f"2041_01_0{number}_drive_0001_sync" for number in (1, 2, 3)]
-
-
-@pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    root = tmp_path_factory.mktemp("monitored") / "root"
-    street = OmegaConf.load(Path(CONFIG_DIR) / "simulation" / "street.yaml")
-    merged = OmegaConf.to_container(OmegaConf.merge(street, TINY))
-    simulate(
-        SimulationSettings.from_mapping(cast("dict[str, object]", merged)),
-        root,
-        workers=1,
-        progress=False,
-    )
-    return root
-
-
-@pytest.fixture(scope="module")
-def references(recorded: Path, tmp_path_factory: pytest.TempPathFactory, start: Run) -> Path:
-    folder = tmp_path_factory.mktemp("references")
-    path = folder / "mine.npz"
-    done = start(COMMAND, f"calibrate={recorded}", f"references={path}", *SETTINGS, cwd=folder)
-    assert done.returncode == 0, done.stderr
-    assert "6 windows of 2 frames, 3 drives" in done.stdout
-    assert path.is_file()
-    return path
 
 
 def lines(folder: Path) -> list[dict[str, object]]:
@@ -64,7 +29,7 @@ def lines(folder: Path) -> list[dict[str, object]]:
 
 
 def watch(
-    start: Run, source: Path, references: Path, folder: Path, drives: list[str]
+    start: Run, source: Path, references: Path, folder: Path, drives: list[str], *words: str
 ) -> subprocess.CompletedProcess[str]:
     return start(
         COMMAND,
@@ -72,20 +37,20 @@ def watch(
         f"references={references}",
         f"drives=[{','.join(drives)}]",
         f"hydra.run.dir={folder}",
-        *SETTINGS,
+        *words,
         cwd=folder.parent,
     )
 
 
 def test_every_frame_gets_a_verdict_and_a_run_goes_on_where_it_was(
-    recorded: Path, references: Path, tmp_path: Path, start: Run
+    recorded: Path, references: Path, settings: tuple[str, ...], tmp_path: Path, start: Run
 ) -> None:
     source = tmp_path / "source"
     shutil.copytree(recorded, source)
     spoilt = source / "2041_01_02" / DRIVES[1] / "velodyne_points" / "data" / "0000000001.bin"
     spoilt.write_bytes(b"123")
     whole, pieces = tmp_path / "whole", tmp_path / "pieces"
-    done = watch(start, source, references, whole, DRIVES)
+    done = watch(start, source, references, whole, DRIVES, "overlays=4", *settings)
     assert done.returncode == 0, done.stderr
     assert "12 frames: " in done.stdout
     assert "frames a second" in done.stdout
@@ -104,12 +69,21 @@ def test_every_frame_gets_a_verdict_and_a_run_goes_on_where_it_was(
     wanted = 100 * cast("list[float]", said[0]["correction"])[0]
     assert np.isclose(float(table[0]["correction_x"]), wanted, atol=1e-3)
 
-    assert watch(start, source, references, pieces, DRIVES[:1]).returncode == 0
+    events = EventAccumulator(str(whole / "tensorboard")).Reload()
+    curve = [event.value for event in events.Scalars("correction/X")]
+    assert len(curve) == 12
+    assert np.isclose(curve[0], wanted, atol=1e-3)
+    assert {"lower/Yaw", "upper/Roll", "sigma/Z", "verdict"} <= set(events.Tags()["scalars"])
+    drawn = sorted(path.name for path in (whole / "overlays").iterdir())
+    assert len(drawn) == 3
+    assert drawn[0] == f"2041_01_01_{DRIVES[0]}_0000000000.png"
+
+    assert watch(start, source, references, pieces, DRIVES[:1], *settings).returncode == 0
     assert len(lines(pieces)) == 4
     # Killed between the line and the state: the line is said again, not twice.
     with (pieces / "monitor.jsonl").open("a") as file:
         file.write('{"frame": "cut')
-    again = watch(start, source, references, pieces, DRIVES)
+    again = watch(start, source, references, pieces, DRIVES, *settings)
     assert again.returncode == 0, again.stderr
     for name in ("monitor.jsonl", "monitor.csv", "extrinsics.jsonl"):
         assert (pieces / name).read_bytes() == (whole / name).read_bytes()
@@ -134,15 +108,41 @@ def test_what_cannot_be_is_said(words: list[str], named: str, tmp_path: Path, st
 
 
 def test_references_of_another_window_are_refused(
-    recorded: Path, references: Path, tmp_path: Path, start: Run
+    recorded: Path, references: Path, settings: tuple[str, ...], tmp_path: Path, start: Run
 ) -> None:
     done = start(
         COMMAND,
         f"source={recorded}",
         f"references={references}",
-        *SETTINGS,
+        *settings,
         "window=3",
         cwd=tmp_path,
     )
     assert done.returncode != 0
     assert "window: 2, here 3" in done.stderr
+
+
+def test_a_recording_for_the_viewer(
+    recorded: Path, references: Path, settings: tuple[str, ...], tmp_path: Path, start: Run
+) -> None:
+    pytest.importorskip("rerun", reason="the rerun SDK is not installed (uncal[rerun])")
+    words = ("rerun=true", "tensorboard=false", *settings)
+    done = watch(start, recorded, references, tmp_path / "run", DRIVES[:1], *words)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "run" / "monitor.rrd").read_bytes().startswith(b"RRF2")
+    assert not (tmp_path / "run" / "tensorboard").exists()
+
+
+def test_without_the_viewer_a_recording_is_refused(
+    recorded: Path,
+    references: Path,
+    settings: tuple[str, ...],
+    tmp_path: Path,
+    start: Run,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setitem(sys.modules, "rerun", None)
+    words = ("rerun=true", *settings)
+    done = watch(start, recorded, references, tmp_path / "run", DRIVES[:1], *words)
+    assert done.returncode != 0
+    assert "pip install 'uncal[rerun]'" in done.stderr

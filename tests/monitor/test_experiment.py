@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
@@ -16,7 +15,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from uncal.edges.evidence import pack
 from uncal.errors import ConfigurationError
-from uncal.geometry import DOF_NAMES, pose_to_matrix
+from uncal.geometry.transforms import DOF_NAMES, pose_to_matrix
 from uncal.monitor.evidence import Evidence, EvidenceReader
 from uncal.monitor.experiment.cases import FAULT, STEP, STILL, Case, Drive, ExperimentSettings
 from uncal.monitor.experiment.observe import decalibration_of, exchanged, says_moved
@@ -98,7 +97,7 @@ def verdict(**changes: Any) -> Verdict:  # noqa: ANN401  # any field of it
     zero, line = np.zeros(6), np.full(6, np.inf)
     given = {
         **{"frame": "", "time": 0.0, "correction": zero, "lower": -line, "upper": line},
-        **{"joint_lower": -line, "joint_upper": line, "verdict": "ok", "reason": ""},
+        **{"sigma": zero, "joint_lower": -line, "joint_upper": line, "verdict": "ok", "reason": ""},
         **{"extrinsic": np.eye(4), "updated": False, "frames": 2, "wealth": 1.0},
     }
     return Verdict(**{**given, **changes})
@@ -132,8 +131,8 @@ def test_images_are_exchanged_and_nothing_else() -> None:
         )
         for place, name in enumerate("ab")
     ]
-    for place, (drive, frames) in enumerate(exchanged(drives)):
-        assert drive is drives[place]
+    for place, drive in enumerate(drives):
+        frames = exchanged(drive, drives[1 - place])
         for number, (frame, own) in enumerate(zip(frames, drive.frames, strict=True)):
             assert frame.image is drives[1 - place].frames[number].image
             assert (frame.points, frame.K, frame.id) == (own.points, own.K, own.id)
@@ -145,11 +144,11 @@ def seeing(monkeypatch: pytest.MonkeyPatch) -> None:
     known: dict[bytes, tuple[np.ndarray, np.ndarray | None]] = {}
     recorded = ExperimentSettings.recorded
 
-    def registering(self: ExperimentSettings, case: Case) -> Iterator[Drive]:
-        for drive in recorded(self, case):
-            for frame, truth in zip(drive.frames, drive.truth, strict=True):
-                known[frame.points.tobytes()] = truth, frame.image
-            yield drive
+    def registering(self: ExperimentSettings, case: Case, number: int) -> Drive:
+        drive = recorded(self, case, number)
+        for frame, truth in zip(drive.frames, drive.truth, strict=True):
+            known[frame.points.tobytes()] = truth, frame.image
+        return drive
 
     def evidence(self: EvidenceReader, frame: Frame, T: np.ndarray, *rest: object) -> Evidence:
         truth, image = known.get(frame.points.tobytes(), (frame.T_cam_lidar, frame.image))
@@ -178,6 +177,15 @@ def test_with_a_reader_that_knows_the_truth(tmp_path: Path, seeing: None) -> Non
     page = run_experiment(config, tmp_path, "python -m …")
 
     assert (tmp_path / "monitor.md").read_text(encoding="utf-8") == page
+    # Killed before its end it goes on: what is there is not measured again.
+    parts = sorted((tmp_path / "observations").glob("*.csv"))
+    untouched = {path: path.stat().st_mtime_ns for path in parts[1:]}
+    parts[0].unlink()
+    assert run_experiment(config, tmp_path, "python -m …") == page
+    assert {path: path.stat().st_mtime_ns for path in parts[1:]} == untouched
+    config.window = 3
+    with pytest.raises(ConfigurationError, match="window"):
+        run_experiment(config, tmp_path, "python -m …")
     assert "X 10.0 cm" in page
     rows = pd.read_csv(tmp_path / "observations.csv", keep_default_na=False)
     per_case = rows[rows["watcher"] == "monitor"].groupby("kind").size()

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from torch import nn
 
 from uncal.data.dataset import collate
 from uncal.data.network_input import make_input
 from uncal.edges.evidence import pack, unpack
 from uncal.models.alignment import PRIOR, AlignmentEstimator
-from uncal.monitor.evidence import EvidenceReader, _beyond
+from uncal.monitor.equations import beyond
+from uncal.monitor.evidence import EvidenceReader
 from uncal.recordings.frame import Frame, FrameId
 from uncal.runs.assembly import build_module
 from uncal.runs.checkpoint import save_weights
@@ -78,17 +82,50 @@ def test_with_its_prior_a_frame_says_what_the_module_estimates(
     # As evidence, for windows: what the start knows beyond the uniform prior, about its own mean.
     assert counted.prior is None
     assert evidence.prior is not None
-    known = _beyond(evidence.prior.precision[0], PRIOR / estimator.start_inflation)
+    known = beyond(evidence.prior.precision[0], PRIOR / estimator.start_inflation)
     normal, right = unpack(counted.equations - evidence.equations)
     scale = float(known.abs().max()) + 1.0
     assert (normal - known).abs().max() < 1e-3 * scale
     assert (right - known @ evidence.prior.mean[0]).abs().max() < 1e-3 * scale
 
 
+def test_what_is_shared_is_what_would_be_computed_again(
+    reader: EvidenceReader, frame: Frame, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    estimator = reader.module.estimator
+    assert isinstance(estimator, AlignmentEstimator)
+    network, start = estimator.last.network, estimator.start
+    assert start is not None
+    counts: Counter[str] = Counter()
+
+    def counted(owner: nn.Module, name: str) -> None:
+        function = getattr(owner, name)
+
+        def call(*args: object) -> object:
+            counts[name] += 1
+            return function(*args)
+
+        monkeypatch.setattr(owner, name, call)
+
+    counted(network, "describe")
+    counted(start, "align")
+    sample = reader.prepare(frame, T)
+    reader.read(sample)  # the first one tries strategies
+    counts.clear()
+    shared = reader.read(sample)
+    assert counts == {"describe": 1, "align": 1}
+    counts.clear()
+    monkeypatch.setattr("uncal.monitor.equations.computed_once", lambda _: nullcontext())
+    again = reader.read(sample)
+    assert counts == {"describe": 3, "align": 2}
+    assert torch.equal(shared.equations, again.equations)
+    np.testing.assert_array_equal(shared.statistics, again.statistics)
+
+
 def test_information_beyond_a_prior_is_never_negative() -> None:
     information = torch.diag(torch.tensor([5.0, 4.0, 3.0, 2.0, 1.0, 9.0]))
     expected = torch.diag(torch.tensor([2.0, 1.0, 0.0, 0.0, 0.0, 6.0]))
-    torch.testing.assert_close(_beyond(information, 3.0), expected)
+    torch.testing.assert_close(beyond(information, 3.0), expected)
 
 
 def test_a_step_taken_out_is_what_the_rebased_evidence_no_longer_finds(

@@ -11,7 +11,7 @@ import torch
 from scipy.stats import binom  # type: ignore[import-untyped]
 
 from uncal.errors import ConfigurationError
-from uncal.geometry import DOF_NAMES
+from uncal.geometry.transforms import DOF_NAMES
 from uncal.monitor.adaptive import make_quantiles
 from uncal.monitor.decision import Interval, decide
 from uncal.monitor.martingale import ExchangeabilityMartingale
@@ -29,13 +29,14 @@ def said(
     correction: Sequence[float], sigma: float = 1.0, doubts: list[str] | None = None
 ) -> tuple[str, str]:
     interval = Interval.around(np.array(correction), sigma * SIGMA, np.array([2.0] * 6 + [3.0]))
-    return decide(interval, SETTINGS.limits, 0.9, doubts or [], 8, 8)
+    return decide(interval, SETTINGS.limits, interval, SETTINGS.drift, doubts or [], 8, 8)
 
 
 @pytest.mark.parametrize(
     ("correction", "sigma", "verdict", "word"),
     [
-        ([0.01, 0, 0, 0, 0, 0], 1.0, "ok", "zero lies"),
+        ([0.01, 0, 0, 0, 0, 0], 1.0, "ok", "holds zero"),
+        ([0.018, 0, 0, 0, 0, 0], 1.0, "ok", "next to it"),
         ([0, 0.03, 0, 0, 0, 0], 1.0, "drifting", "Y is off by 3.0 cm"),
         ([0, 0, 0, 0, math.radians(-0.9), 0], 1.0, "recalibrate", "Pitch is off by -0.90°"),
         ([0, 0, 0, 0, 0, 0], 12.0, "recalibrate", "wide"),
@@ -45,6 +46,17 @@ def test_verdicts(correction: list[float], sigma: float, verdict: str, word: str
     found, reason = said(correction, sigma)
     assert found == verdict
     assert word in reason
+
+
+def test_a_drift_is_one_before_the_window_is_full() -> None:
+    interval = Interval.around(
+        np.array([0.07, 0, 0, 0, 0, 0]), 12 * SIGMA * [0.1, 1, 1, 1, 1, 1], np.full(7, 2.0)
+    )
+    found = [
+        decide(interval, SETTINGS.limits, interval, SETTINGS.drift, [], frames, 8)[0]
+        for frames in (2, 8)
+    ]
+    assert found == ["drifting", "recalibrate"]
 
 
 def test_doubts_come_first() -> None:

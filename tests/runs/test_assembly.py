@@ -60,7 +60,7 @@ def test_every_event_representation_builds(
         K=K,
         T_init=torch.eye(4).expand(2, 4, 4),
         target=torch.zeros(2, 6),
-        place=torch.arange(2),
+        unit_index=torch.arange(2),
         frames=[FrameId("rig", "drive", i) for i in range(2)],
         unit=torch.arange(2),
         edges=torch.full((2, 5, len(COLUMNS)), torch.nan),

@@ -139,19 +139,19 @@ def test_frames_of_a_window_share_a_decalibration_and_stay_together() -> None:
     seen = 0
     for batch in data.loader_of("test"):
         # As many frames as eval_batch_size says: two windows.
-        assert len(batch.place) == 2
+        assert len(batch.unit_index) == 2
         assert batch.unit.tolist() == [0] * 4 + [1] * 4
         inputs = data.on_after_batch_transfer(batch, 0)
         assert inputs is not None
         assert inputs.target.shape == (2, 6)
-        for row, place in enumerate(batch.place.tolist()):
-            assert torch.equal(inputs.target[row], RANGE.draw_for(5, str(names[place])))
+        for row, index in enumerate(batch.unit_index.tolist()):
+            assert torch.equal(inputs.target[row], RANGE.draw_for(5, str(names[index])))
         # One extrinsic in this recording: frames of a window start from the same wrong one.
         for row in range(2):
             mine = inputs.T_init[inputs.unit == row]
             torch.testing.assert_close(mine, mine[:1].expand(4, 4, 4))
         assert not torch.equal(inputs.T_init[0], inputs.T_init[4])
-        seen += len(batch.place)
+        seen += len(batch.unit_index)
     assert seen == len(names) == len(data.splits["test"]) // 4
 
 
@@ -163,7 +163,7 @@ def test_a_frame_that_cannot_be_read_shortens_its_window_and_is_reported() -> No
     street.unreadable = {first[0], second[2]}
     batch = next(iter(data.loader_of("test")))
     assert batch.unit.tolist() == [0] * 3 + [1] * 3
-    assert batch.place.tolist() == [0, 1]
+    assert batch.unit_index.tolist() == [0, 1]
     assert batch.frames == [*first[1:], second[0], second[1], second[3]]
     # The window's own, although the frame that names it is not there.
     assert batch.decalibration is not None
@@ -179,7 +179,7 @@ def test_a_window_without_a_readable_frame_is_left_out() -> None:
     first, second = data.units["test"][:2]
     street.unreadable = set(first)
     batch = next(iter(data.loader_of("test")))
-    assert batch.place.tolist() == [1]
+    assert batch.unit_index.tolist() == [1]
     assert batch.unit.tolist() == [0] * 4
     assert batch.frames == list(second)
     assert len(batch.skipped) == 4

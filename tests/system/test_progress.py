@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from uncal import progress
+from uncal.system import progress
 from uncal.system.progress import progress_bar, watched
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from uncal.weights.obtain import obtain
+from uncal.weights.load_or_train import load_or_train
 from uncal.weights.store import CHECKPOINT, RECORD, Trained, WeightStore
 
 INGREDIENTS = {"seed": 0, "frames": "abc"}
@@ -28,7 +28,7 @@ class Training:
 
 def get(store: WeightStore, train: Training, folder: Path, retrain: bool = False) -> bool:
     last = folder / "last.ckpt"
-    weights = obtain(store, train, run=folder, epochs=3, last=last, retrain=retrain)
+    weights = load_or_train(store, train, run=folder, epochs=3, last=last, retrain=retrain)
     assert weights.path.read_text() == train.content
     assert weights.fingerprint == store.fingerprint
     return weights.reused
@@ -69,7 +69,7 @@ def test_an_interrupted_training_goes_on_and_retrain_starts_anew(tmp_path: Path)
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        obtain(store, interrupted, run=tmp_path, epochs=3, last=last, retrain=False)
+        load_or_train(store, interrupted, run=tmp_path, epochs=3, last=last, retrain=False)
     assert store.find() is None
     assert store.interrupted() == last.resolve()
 
@@ -77,7 +77,7 @@ def test_an_interrupted_training_goes_on_and_retrain_starts_anew(tmp_path: Path)
     elsewhere.mkdir()
     anew = Training(elsewhere)
     with pytest.raises(ZeroDivisionError):
-        obtain(
+        load_or_train(
             store,
             lambda start: Path(str(anew(start))) / str(1 // 0),
             run=elsewhere,
@@ -151,7 +151,7 @@ def test_parallel_jobs_train_once(tmp_path: Path) -> None:
 
     def job(how: object) -> None:
         store = WeightStore(tmp_path / "store", INGREDIENTS)
-        weights = obtain(
+        weights = load_or_train(
             store,
             how,  # type: ignore[arg-type]
             run=tmp_path,
@@ -180,8 +180,8 @@ def test_a_sentence_says_whether_weights_were_trained_now_or_before(tmp_path: Pa
     store = WeightStore(tmp_path / "store", INGREDIENTS)
     train = Training(tmp_path)
     how = {"run": tmp_path, "epochs": 3, "last": None, "retrain": False}
-    first = obtain(store, train, **how)  # type: ignore[arg-type]
-    second = obtain(store, train, **how)  # type: ignore[arg-type]
+    first = load_or_train(store, train, **how)  # type: ignore[arg-type]
+    second = load_or_train(store, train, **how)  # type: ignore[arg-type]
     assert "trained in this run (3 epochs" in first.sentence()
     assert "reused, not trained again: trained by" in second.sentence()
     assert store.fingerprint in second.sentence()

@@ -76,8 +76,8 @@ def summary(
     """
     drives = len(set(scores.groups(frames, "drive")))
     by_drive = module.calibrator.kind == "hierarchical"
-    m, what = (drives, "drives") if by_drive else (len(scores.place), "frames")
-    lines = [f"{len(scores.place)} frames of {drives} drive(s)."]
+    m, what = (drives, "drives") if by_drive else (len(scores.index), "frames")
+    lines = [f"{len(scores.index)} frames of {drives} drive(s)."]
     for level in levels:
         alpha = miscoverage(level)
         if m < samples_needed(alpha):
@@ -110,7 +110,7 @@ def _widths(
 ) -> str:
     """Mean half-widths, as calibrated or as they would be with m samples of the same law."""
     if m is not None:
-        n, share = len(scores.place), conformal_rank(m, miscoverage(level)) / m
+        n, share = len(scores.index), conformal_rank(m, miscoverage(level)) / m
         # At this level the rank among n is that share of n.
         level = min(level, share * n / (n + 1))
     found = module.intervals(scores, frames, level)

@@ -83,7 +83,7 @@ class IntervalOverlays(lightning.Callback):
         bounds: tuple[float, float],
         what: str,
     ) -> NDArray[np.uint8] | None:
-        frames = data.datasets["test"][int(tested.place[i])]
+        frames = data.datasets["test"][int(tested.index[i])]
         sample = next((each for each in frames if isinstance(each, Sample)), None)
         if sample is None:
             return None

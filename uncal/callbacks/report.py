@@ -55,8 +55,8 @@ class Report(lightning.Callback):
             self.levels,
             groups=tested.groups(frames, pl_module.groups),
             bounds=tested.bounds,
-            control=None if run.control is None else run.control.among(tested.place),
-            frames=[str(frames[i]) for i in tested.place.tolist()],
+            control=None if run.control is None else run.control.among(tested.index),
+            frames=[str(frames[i]) for i in tested.index.tolist()],
             ellipsoid=(pl_module.ellipsoid, tested.covariance),
         )
         data.share_skipped()

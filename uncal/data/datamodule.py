@@ -203,5 +203,5 @@ class CalibrationDataModule(lightning.LightningDataModule):
         decalibration = batch.decalibration
         if decalibration is None:
             batch = self.augmentation(batch)
-            decalibration = self.decalibration.draw(len(batch.place), batch.camera.device)
+            decalibration = self.decalibration.draw(len(batch.unit_index), batch.camera.device)
         return make_input(batch, decalibration, self.inputs)

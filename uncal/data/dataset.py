@@ -29,7 +29,7 @@ class Sample(NamedTuple):
     """One frame, ready to be batched.
 
     Attributes:
-        place: number of its unit in the split.
+        unit_index: number of its unit in the split.
         frame: its name.
         camera: (3, H, W) uint8 RGB, or (C, H, W) float16 events as their representation draws them.
         points: (n, 4) float32 culled sweep, LiDAR frame, metres and reflectance.
@@ -39,7 +39,7 @@ class Sample(NamedTuple):
         decalibration: (6,) fixed draw of the evaluation splits, or None where training draws anew.
     """
 
-    place: int
+    unit_index: int
     frame: FrameId
     camera: Tensor
     points: Tensor
@@ -62,7 +62,7 @@ class Batch(NamedTuple):
     A unit is what one estimate is for: a frame, or a window of frames that share an extrinsic.
 
     Attributes:
-        place: (n,) int64 numbers of the units in their split.
+        unit_index: (n,) int64 numbers of the units in their split.
         unit: (B,) int64 which of the n units each frame belongs to, ascending.
         frames: the B frames.
         camera: (B, 3, H, W) uint8 RGB, or (B, C, H, W) float16 events.
@@ -74,7 +74,7 @@ class Batch(NamedTuple):
         skipped: frames left out because they could not be read.
     """
 
-    place: Tensor
+    unit_index: Tensor
     unit: Tensor
     frames: list[FrameId]
     camera: Tensor
@@ -96,7 +96,7 @@ class Batch(NamedTuple):
     def _map(self, function: Callable[[Tensor], Tensor]) -> Batch:
         fixed = self.decalibration
         return self._replace(
-            place=function(self.place),
+            unit_index=function(self.unit_index),
             unit=function(self.unit),
             camera=function(self.camera),
             points=function(self.points),
@@ -181,12 +181,12 @@ class FrameDataset(Dataset[Item]):
         except FrameError as error:
             return SkippedFrame(frame_id, str(error))
 
-    def sample(self, frame: Frame, place: int, decalibration: Tensor | None) -> Sample:
+    def sample(self, frame: Frame, unit_index: int, decalibration: Tensor | None) -> Sample:
         """A frame at the network's size and culled.
 
         Args:
             frame: as a recording loads it.
-            place: number of its unit in the split.
+            unit_index: number of its unit in the split.
             decalibration: (6,) fixed draw, or None.
 
         Raises:
@@ -205,7 +205,7 @@ class FrameDataset(Dataset[Item]):
             self.decalibration.translation,
         )
         return Sample(
-            place=place,
+            unit_index=unit_index,
             frame=frame.id,
             camera=camera,
             points=torch.from_numpy(points[near]),
@@ -276,8 +276,8 @@ def collate(items: Sequence[Item]) -> Batch:
         empty = torch.empty(0)
         none = empty.long()
         return Batch(none, none, [], empty, empty, empty, empty, empty, None, skipped)
-    places = torch.tensor([sample.place for sample in samples])
-    place, unit = torch.unique_consecutive(places, return_inverse=True)
+    indices = torch.tensor([sample.unit_index for sample in samples])
+    unit_index, unit = torch.unique_consecutive(indices, return_inverse=True)
     first = [samples[i] for i in range(len(samples)) if i == 0 or unit[i] != unit[i - 1]]
     longest = max(len(sample.points) for sample in samples)
     points = torch.full((len(samples), longest, 4), float("nan"))
@@ -289,7 +289,7 @@ def collate(items: Sequence[Item]) -> Batch:
         row[: len(sample.edges)] = sample.edges
     fixed = [sample.decalibration for sample in first if sample.decalibration is not None]
     return Batch(
-        place=place,
+        unit_index=unit_index,
         unit=unit,
         frames=[sample.frame for sample in samples],
         camera=torch.stack([sample.camera for sample in samples]),

@@ -18,7 +18,7 @@ from uncal.geometry.projection import project
 from uncal.recordings.frame import FrameId
 
 CAMERAS: tuple[str, ...] = ("rgb", "events")
-"""What a camera may give; a recording offers one of them."""
+"""What a camera may give; a recording has one of them."""
 
 CHANNELS: tuple[str, ...] = (*CAMERAS, "inverse_depth", "intensity")
 """The inputs that a model can ask for."""
@@ -33,7 +33,7 @@ class NetworkInput(NamedTuple):
         K: (B, 3, 3) camera matrices.
         T_init: (B, 4, 4) decalibrated extrinsics, the ones the projection used.
         target: (n, 6) the decalibration to be found of each unit, metres and radians.
-        place: (n,) int64 numbers of the units in their split.
+        unit_index: (n,) int64 numbers of the units in their split.
         frames: the B frames.
         unit: (B,) int64 which of the n units of :mod:`uncal.splits.windows` each frame belongs to.
         edges: (B, M, columns) edges of the sweeps; rows of NaN pad.
@@ -44,7 +44,7 @@ class NetworkInput(NamedTuple):
     K: Tensor
     T_init: Tensor
     target: Tensor
-    place: Tensor
+    unit_index: Tensor
     frames: list[FrameId]
     unit: Tensor
     edges: Tensor
@@ -143,7 +143,7 @@ def make_input(batch: Batch, decalibration: Tensor, settings: InputSettings) -> 
         K=batch.K,
         T_init=T_init,
         target=decalibration,
-        place=batch.place,
+        unit_index=batch.unit_index,
         frames=batch.frames,
         unit=batch.unit,
         edges=padded(batch.edges, settings.train_edges if in_training else settings.edges),

@@ -27,31 +27,31 @@ class ControlPrediction:
     """Estimates with the camera's data of the frame itself, and of another frame.
 
     Attributes:
-        place: (n,) int64 numbers of the frames in their split, ascending.
+        index: (n,) int64 numbers of the frames in their split, ascending.
         frames: the n frames.
         single: (n, 6) one pass without dropout, metres and radians.
         blind: (n, 6) the same with the same points and decalibration, but another frame's image.
         target: (n, 6) the true decalibrations.
     """
 
-    place: Tensor
+    index: Tensor
     frames: tuple[FrameId, ...]
     single: Tensor
     blind: Tensor
     target: Tensor
 
-    def among(self, place: Tensor) -> ControlPrediction | None:
+    def among(self, index: Tensor) -> ControlPrediction | None:
         """The part of it that belongs to some frames, or None if these are fewer than two.
 
         Args:
-            place: (m,) int64 numbers of frames in the split.
+            index: (m,) int64 numbers of frames in the split.
         """
-        kept = torch.isin(self.place, place)
+        kept = torch.isin(self.index, index)
         if int(kept.sum()) < 2:
             return None
         frames = tuple(f for f, keep in zip(self.frames, kept.tolist(), strict=True) if keep)
         columns = (self.single, self.blind, self.target)
-        return ControlPrediction(self.place[kept], frames, *(each[kept] for each in columns))
+        return ControlPrediction(self.index[kept], frames, *(each[kept] for each in columns))
 
 
 def control_order(frames: Sequence[FrameId], seed: int) -> list[int]:
@@ -92,8 +92,8 @@ def image_blind_control(
     columns = [torch.empty(0, dtype=torch.int64), torch.empty(0, 0)]
     if parts:
         columns = [torch.cat(column) for column in zip(*parts, strict=True)]
-    place, values = (column.cpu() for column in gather_by_id(*columns))
-    if len(place) == 0:
+    index, values = (column.cpu() for column in gather_by_id(*columns))
+    if len(index) == 0:
         if trainer.is_global_zero:
             log.warning(
                 "no image-blind control: it gives each frame the image of another one, and fewer "
@@ -102,8 +102,8 @@ def image_blind_control(
                 split,
             )
         return None
-    frames = tuple(data.named(split)[i] for i in place.tolist())
-    return ControlPrediction(place, frames, *torch.split(values, 6, dim=1))
+    frames = tuple(data.named(split)[i] for i in index.tolist())
+    return ControlPrediction(index, frames, *torch.split(values, 6, dim=1))
 
 
 def _estimate(
@@ -127,7 +127,7 @@ def _estimate(
             if own is None:
                 continue
             if before is None:
-                before = _camera_before(data.datasets[split], order, int(batch.place[0]))
+                before = _camera_before(data.datasets[split], order, int(batch.unit_index[0]))
             if before is None:  # the only readable unit of the split
                 continue
             cameras = _of_units_before(before.to(batch.camera.device), batch)
@@ -136,16 +136,16 @@ def _estimate(
             assert other is not None
             with trainer.precision_plugin.forward_context():
                 estimates = module(own).float(), module(other).float()
-            parts.append((batch.place, torch.cat([*estimates, own.target], 1)))
+            parts.append((batch.unit_index, torch.cat([*estimates, own.target], 1)))
     return parts
 
 
-def _camera_before(dataset: FrameDataset, order: Sequence[int], place: int) -> Tensor | None:
+def _camera_before(dataset: FrameDataset, order: Sequence[int], unit: int) -> Tensor | None:
     """(W, C, H, W) cameras of the last readable unit before one in a cyclic order.
 
     It is read here a second time, as another process or a later batch has it.
     """
-    at = order.index(place)
+    at = order.index(unit)
     for index in (*reversed(order[:at]), *reversed(order[at + 1 :])):
         cameras = [frame.camera for frame in dataset[index] if isinstance(frame, Sample)]
         if cameras:
@@ -161,7 +161,7 @@ def _of_units_before(before: Tensor, batch: Batch) -> Tensor:
         batch: B frames.
     """
     cameras = []
-    for unit in range(len(batch.place)):
+    for unit in range(len(batch.unit_index)):
         own = batch.camera[batch.unit == unit]
         # A window with a frame that could not be read is shorter than its neighbour.
         cameras.append(before[torch.arange(len(own), device=own.device) % len(before)])

@@ -249,7 +249,7 @@ class AlignmentEstimator(nn.Module):
         rounds: Sequence[int],
         learning: LearningSettings,
         start: EdgeAlignmentEstimator | None = None,
-        start_inflation: float = 4.0,
+        start_inflation: float = 16.0,
     ) -> None:
         super().__init__()
         if start_inflation < 1:
@@ -277,7 +277,7 @@ class AlignmentEstimator(nn.Module):
         Args:
             batch: B frames of n units.
         """
-        n = len(batch.place)
+        n = len(batch.unit_index)
         if self.start is None:
             return State(
                 batch.K.new_zeros(n, 6), (torch.eye(6) / PRIOR).to(batch.K).expand(n, 6, 6)
@@ -288,7 +288,7 @@ class AlignmentEstimator(nn.Module):
 
     def align(self, batch: NetworkInput, rounds: Sequence[int]) -> State:
         """Rounds without dropout."""
-        n = len(batch.place)
+        n = len(batch.unit_index)
         state = self.begin(batch)
         maps = self.last.network.describe(batch.x)
         size = (batch.x.shape[-2], batch.x.shape[-1])
@@ -373,7 +373,7 @@ class AlignmentEstimator(nn.Module):
             (N, n, 6) poses and (n, 6, 6) covariance, metres and radians.
         """
         assert question.state is not None
-        packed = self.fuse(samples, batch.unit, len(batch.place))
+        packed = self.fuse(samples, batch.unit, len(batch.unit_index))
         poses = self.solve(packed, question.state).pose
         covariance = self.solve(packed.mean(0), question.state).covariance
         scales = self.bounds[:, None] * self.bounds
@@ -432,9 +432,9 @@ def cross_entropy(curves: Tensor, offset: Tensor, seen: Tensor, stride: int) -> 
     """
     reach = curves.shape[-1] // 2
     counted = seen * (offset.abs() < (reach - 0.5) * stride)
-    place = (offset / stride + reach).clamp(0.0, 2 * reach - 1e-3)
-    left = place.floor().long()
-    part = place - left
+    position = (offset / stride + reach).clamp(0.0, 2 * reach - 1e-3)
+    left = position.floor().long()
+    part = position - left
     log = curves.log_softmax(-1)
     at_left = log.gather(-1, left[..., None]).squeeze(-1)
     at_right = log.gather(-1, left[..., None] + 1).squeeze(-1)

@@ -15,8 +15,8 @@ from uncal.edges.evidence import NEAREST_M
 from uncal.edges.image import IMAGE_EDGES, blurred, edge_maps
 from uncal.edges.sweep import KIND, KINDS, N_ACROSS, STRENGTH
 from uncal.errors import ConfigurationError, UncalError
-from uncal.geometry import transform_points
 from uncal.geometry.decalibration import correct
+from uncal.geometry.transforms import transform_points
 from uncal.models.answer import Answer, Question, State
 from uncal.models.pose_search import LogLikelihood, Operator, SearchSettings, search
 
@@ -38,7 +38,8 @@ class EdgeAlignment(nn.Module):
         blur_deg: width of the blur of each scale, degrees at the image's centre, coarse to fine.
         rounds: of the search at each scale.
         sharpness: log-likelihood by score, of each scale.
-        every: at each scale every so many-th edge is looked at, and counts as that many.
+        every: at each scale every so many-th edge is looked at, and counts as that many;
+            None, as in the settings of older weights: all.
 
     Raises:
         ConfigurationError: a setting is out of its range.
@@ -59,9 +60,10 @@ class EdgeAlignment(nn.Module):
         blur_deg: Sequence[float],
         rounds: Sequence[int],
         sharpness: Sequence[float],
-        every: Sequence[int],
+        every: Sequence[int] | None = None,
     ) -> None:
         super().__init__()
+        every = [1] * len(rounds) if every is None else every
         if image_edges not in IMAGE_EDGES:
             raise ConfigurationError(
                 f"model.image_edges={image_edges}: expected {' or '.join(IMAGE_EDGES)}"
@@ -132,20 +134,21 @@ def score(strength: Tensor, edges: Tensor, weights: Tensor, K: Tensor, T: Tensor
         (B, P).
     """
     height, width = strength.shape[-2:]
-    # One above the other, a row of zeros around each: one look-up serves both directions.
-    tall = F.pad(strength, (0, 0, 1, 1)).flatten(1, 2)[:, None]
-    # All poses' rows in one matrix: nothing is copied once per pose.
-    turned = T[..., :3, :3].flatten(1, 2) @ edges[..., :3].transpose(1, 2)
-    x, y, z = (turned.view(len(turned), -1, 3, turned.shape[-1]) + T[..., :3, 3:]).unbind(2)
-    z = z.clamp(min=NEAREST_M)
-    column = x / z * K[:, 0, 0, None, None] + K[:, 0, 2, None, None]
-    row = y / z * K[:, 1, 1, None, None] + K[:, 1, 2, None, None]
-    along = (edges[..., KIND] >= N_ACROSS).to(row.dtype)[:, None]
-    row = row.clamp(-1.0, height) + 1.0 + along * (height + 2)
-    # grid_sample's borders are the outer edges of the outermost pixels.
-    grid = torch.stack([(2 * column + 1) / width - 1, (row + 0.5) / (height + 2) - 1], -1)
-    found = F.grid_sample(tall, grid, mode="bilinear", padding_mode="zeros", align_corners=False)
-    return (found[:, 0] @ weights[..., None]).squeeze(-1)
+    # Camera and grid in one matrix, since what is done for each edge under each pose costs most of
+    # a search. grid_sample's borders are the outer edges of the outermost pixels.
+    zero, one = torch.zeros_like(K[:, 0, 0]), torch.ones_like(K[:, 0, 0])
+    column = torch.stack([2 * K[:, 0, 0], zero, 2 * K[:, 0, 2] + 1 - width], -1) / width
+    row = torch.stack([zero, 2 * K[:, 1, 1], 2 * K[:, 1, 2] + 1 - height], -1) / height
+    camera = torch.stack([column, row, torch.stack([zero, zero, one], -1)], 1)
+    matrices = camera[:, None] @ T[..., :3, :]
+    homogeneous = F.pad(edges[..., :3], (0, 1), value=1.0)
+    places = homogeneous @ matrices[:, :, :2].flatten(1, 2).transpose(1, 2)
+    depth = (homogeneous @ matrices[:, :, 2].transpose(1, 2)).clamp(min=NEAREST_M)
+    grid = places.unflatten(2, (-1, 2)) * depth.reciprocal()[..., None]
+    found = F.grid_sample(strength, grid, padding_mode="zeros", align_corners=False)
+    along = (edges[..., KIND] >= N_ACROSS).to(weights.dtype)
+    of_directions = torch.stack([weights * (1.0 - along), weights * along], 1)
+    return (of_directions[:, :, None] @ found).squeeze(2).sum(1)
 
 
 class Operators(NamedTuple):
@@ -209,7 +212,7 @@ class EdgeAlignmentEstimator(nn.Module):
                 likelihood = partial(self._likelihood, batch, strength, *some)
                 rounds += [likelihood] * number
             return search(
-                rounds, len(batch.place), self.settings, operators.cholesky, operators.ndtr
+                rounds, len(batch.unit_index), self.settings, operators.cholesky, operators.ndtr
             )
 
     def _likelihood(
@@ -242,7 +245,7 @@ class EdgeAlignmentEstimator(nn.Module):
             (N, n, 6) poses and (n, 6, 6) covariance, metres and radians.
         """
         assert question.state is not None
-        units = torch.arange(len(batch.place), device=batch.unit.device)
+        units = torch.arange(len(batch.unit_index), device=batch.unit.device)
         first = torch.searchsorted(batch.unit, units)
         scales = self.bounds[:, None] * self.bounds
         return Answer(samples[:, first], question.state.covariance * scales)

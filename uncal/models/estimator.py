@@ -153,7 +153,7 @@ class PoseEstimator(nn.Module):
 
 
 def _single(batch: NetworkInput) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    if len(batch.place) != len(batch.x):
+    if len(batch.unit_index) != len(batch.x):
         raise ConfigurationError(
             "window.frames above 1 adds up the normal equations of several frames, and this "
             "network has none: use model/backbone=edges, or window.frames=1"

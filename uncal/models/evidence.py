@@ -112,6 +112,7 @@ class EvidenceNetwork(nn.Module):
         self.gain = nn.Parameter(torch.full((len(STRIDES),), 0.8))
         self.channel_dropout = FastDropout(channel_dropout)
         self.evidence_dropout = FastDropout(evidence_dropout)
+        self.products = Products(self)
 
     def describe(self, x: Tensor) -> list[tuple[Tensor, Tensor]]:
         """Features of the image.
@@ -164,15 +165,11 @@ class EvidenceNetwork(nn.Module):
         Returns:
             Curves (B, M, R) and weights (B, M).
         """
-        query = self.queries[level](self.attributes(edges, K, projected))
-        ones = query.new_ones(len(query), query.shape[-1])
-        query = query * self.channel_dropout(ones)[:, None]
-        strength = edges[..., STRENGTH].nan_to_num().clamp(0.02, 1.0).sqrt() * self.gain[level]
-        fixed = torch.stack([1.0 - projected.along, projected.along], -1) * strength[..., None]
-        query = query + F.pad(fixed, (self.features, 0))
-        # Not a matrix product: one of a row and a small matrix per edge is slower than the sum.
-        curves = (query.transpose(1, 2)[..., None] * read).sum(1)
-        return curves, projected.seen * self._kept(projected)
+        products, fixed = self.products(read, edges, K, projected, level)
+        ones = torch.ones(products.shape[:2], dtype=products.dtype, device=products.device)
+        kept = self.channel_dropout(ones)
+        learned = torch.bmm(kept[:, None], products).view(fixed.shape)
+        return learned + fixed, projected.seen * self._kept(projected)
 
     def attributes(self, edges: Tensor, K: Tensor, projected: ProjectedEdges) -> Tensor:
         """What is known of an edge, in numbers of order one.
@@ -210,6 +207,40 @@ class EvidenceNetwork(nn.Module):
         cell = (pixels / BLOCK_PX).long()
         index = (cell[..., 1] % rows) * columns + cell[..., 0] % columns
         return kept.gather(1, index)
+
+
+class Products(nn.Module):
+    """Queries times features at every offset: nothing random, so that passes share it.
+
+    Args:
+        owner: whose queries and gains it uses; not registered a second time.
+    """
+
+    def __init__(self, owner: EvidenceNetwork) -> None:
+        super().__init__()
+        self._owner = [owner]
+
+    def forward(
+        self, read: Tensor, edges: Tensor, K: Tensor, projected: ProjectedEdges, level: int
+    ) -> tuple[Tensor, Tensor]:
+        """What each channel says, to be summed over those that dropout keeps.
+
+        Args:
+            read: (B, features + 2, M, R) of :meth:`EvidenceNetwork.read`.
+            edges: (B, M, columns).
+            K: (B, 3, 3) camera matrices.
+            projected: the edges.
+            level: which of :data:`STRIDES`.
+
+        Returns:
+            (B, features + 2, M·R) of the channels, and (B, M, R) of the fixed share in the query.
+        """
+        owner = self._owner[0]
+        query = owner.queries[level](owner.attributes(edges, K, projected))
+        strength = edges[..., STRENGTH].nan_to_num().clamp(0.02, 1.0).sqrt() * owner.gain[level]
+        share = torch.stack([1.0 - projected.along, projected.along], 1) * strength[:, None]
+        fixed = (share[..., None] * read[:, owner.features :]).sum(1)
+        return (query.transpose(1, 2)[..., None] * read).flatten(2), fixed
 
 
 def _convolution(inputs: int, outputs: int, stride: int = 1) -> nn.Sequential:

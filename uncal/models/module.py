@@ -191,7 +191,7 @@ class CalibrationModule(lightning.LightningModule):
         if batch is None:
             return
         pose = self._estimator.pose(batch)
-        self._validation.append((batch.place, pose.float(), batch.target))
+        self._validation.append((batch.unit_index, pose.float(), batch.target))
 
     def on_validation_epoch_end(self) -> None:
         """Log the error per DoF and its mean, relative to doing nothing."""

@@ -19,8 +19,8 @@ Operator = Callable[[Tensor], Tensor]
 LogLikelihood = Callable[[Tensor], Tensor]
 """(n, P, 6) poses in units of the range → (n, P)."""
 
-_BISECTIONS = 20
-"""Halvings of the interval in which the temperature is sought."""
+_PARTS, _DIVISIONS = 16, 5
+"""The interval in which the temperature is sought is divided so often into so many parts."""
 
 _FLOOR = 1e-5
 """Added to the variances of the proposal, lest it collapse."""
@@ -138,16 +138,19 @@ def temper(log: Tensor, ratio: Tensor, effective: float) -> Tensor:
     (1.0, True)
     """
 
-    def enough(exponent: Tensor) -> Tensor:
-        weight = (exponent * log + ratio).softmax(1)
-        return weight.square().sum(1, keepdim=True) * effective <= 1.0
+    def enough(exponents: Tensor) -> Tensor:
+        weight = (exponents[..., None] * log[:, None] + ratio[:, None]).softmax(-1)
+        return weight.square().sum(-1) * effective <= 1.0
 
-    low, high = torch.zeros_like(log[:, :1]), torch.ones_like(log[:, :1])
-    whole = enough(high)
-    for _ in range(_BISECTIONS):
-        middle = (low + high) / 2
-        good = enough(middle)
-        low, high = torch.where(good, middle, low), torch.where(good, high, middle)
+    low = torch.zeros_like(log[:, :1])
+    whole = enough(low + 1.0)
+    between = torch.arange(1, _PARTS, device=log.device).to(log) / _PARTS
+    width = 1.0
+    for _ in range(_DIVISIONS):
+        # All of them at once: single steps would take longer to start than to compute.
+        good = enough(low + width * between)
+        width = width / _PARTS
+        low = low + width * good.to(log).sum(1, keepdim=True)
     return torch.where(whole, torch.ones_like(low), low)
 
 

@@ -25,7 +25,7 @@ class SplitPrediction:
     """Predictions of some frames of a split.
 
     Attributes:
-        place: (n,) int64 numbers of the units (frames or windows) in their split.
+        index: (n,) int64 numbers of the units (frames or windows) in their split.
         mean: (n, 6) mean of the stochastic passes, metres and radians.
         std: (n, 6) σ, as the chosen spread makes it.
         target: (n, 6) the true decalibrations.
@@ -33,7 +33,7 @@ class SplitPrediction:
         bounds: lower and upper quantiles, each (n, 6), of a network that has such a head.
     """
 
-    place: Tensor
+    index: Tensor
     mean: Tensor
     std: Tensor
     target: Tensor
@@ -50,7 +50,7 @@ class SplitPrediction:
         mean, *rest = torch.split(answer.samples.mean(0), 6, dim=1)
         bounds = (rest[0], rest[1]) if rest else None
         std, covariance = spread_of(answer, spread)
-        return cls(batch.place, mean, std, batch.target, covariance, bounds)
+        return cls(batch.unit_index, mean, std, batch.target, covariance, bounds)
 
     def to(self, device: torch.device | str) -> SplitPrediction:
         """The same on another device, where ``trainer.predict`` moves what it collects.
@@ -73,7 +73,7 @@ class SplitPrediction:
             frames: of the split.
             by: ``rig`` or ``drive``.
         """
-        chosen = [frames[i] for i in self.place.tolist()]
+        chosen = [frames[i] for i in self.index.tolist()]
         return [f.rig if by == "rig" else f"{f.rig}/{f.drive}" for f in chosen]
 
 
@@ -146,20 +146,20 @@ def join_predictions(parts: Sequence[SplitPrediction], split: str) -> SplitPredi
         columns = [torch.cat([_columns(part)[i] for part in parts]) for i in range(2)]
     else:
         columns = [torch.empty(0, dtype=torch.int64), torch.empty(0, 0)]
-    place, values = gather_by_id(columns[0], columns[1])
-    if len(place) == 0:
+    index, values = gather_by_id(columns[0], columns[1])
+    if len(index) == 0:
         raise RecordingError(
             f"no frame of the {split} split could be read; see the skipped frames listed above"
         )
     mean, std, target, *rest = torch.split(values.cpu(), 6, dim=1)
     covariance = torch.stack(rest[:6], 1)
     pair = (rest[6], rest[7]) if rest[6:] else None
-    return SplitPrediction(place.cpu(), mean, std, target, covariance, pair)
+    return SplitPrediction(index.cpu(), mean, std, target, covariance, pair)
 
 
 def _columns(part: SplitPrediction) -> tuple[Tensor, Tensor]:
     columns = [part.mean, part.std, part.target, part.covariance.flatten(1), *(part.bounds or ())]
-    return part.place, torch.cat(columns, 1)
+    return part.index, torch.cat(columns, 1)
 
 
 def _covariance(samples: Tensor) -> Tensor:

@@ -28,7 +28,9 @@ def main(config: DictConfig) -> None:
     # Here and not above: they take seconds, which --help has no use for.
     from uncal.monitor.run import calibrate, chosen, watch
     from uncal.settings.check import check_settings
+    from uncal.system.memory import keep_freed_memory
 
+    keep_freed_memory()
     quiet_libraries()
     check_settings(config)
     task = calibrate if chosen(config) == "calibrate" else watch

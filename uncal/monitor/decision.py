@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from uncal.geometry import DOF_NAMES
-from uncal.monitor.settings import Limits
+from uncal.geometry.transforms import DOF_NAMES
+from uncal.monitor.settings import DriftSettings, Limits
 from uncal.monitor.verdict import DRIFTING, OK, RECALIBRATE, UNTRUSTED
 
 Vector = NDArray[np.float64]
@@ -54,18 +54,33 @@ class Interval:
     @property
     def away(self) -> NDArray[np.bool_]:
         """(6,) whether the joint box excludes zero in this DoF."""
-        return np.asarray((self.joint_lower > 0) | (self.joint_upper < 0))
+        return self.beyond(np.zeros(6))
+
+    def beyond(self, least: Vector) -> NDArray[np.bool_]:
+        """(6,) whether all of the joint box lies on one side beyond some distance from zero.
+
+        Args:
+            least: (6,) distances, at least 0.
+        """
+        return np.asarray((self.joint_lower > least) | (self.joint_upper < -least))
 
 
 def decide(
-    interval: Interval, limits: Limits, level: float, doubts: list[str], frames: int, window: int
+    interval: Interval,
+    limits: Limits,
+    drift: Interval,
+    settings: DriftSettings,
+    doubts: list[str],
+    frames: int,
+    window: int,
 ) -> tuple[str, str]:
     """Verdict and reason.
 
     Args:
         interval: of the estimate.
         limits: beyond which to recalibrate.
-        level: of the regions.
+        drift: of the same estimate, at the level of a drift.
+        settings: of a drift.
         doubts: why the estimate is not to be trusted; empty if it is.
         frames: whose evidence is in the estimate.
         window: how many there can be.
@@ -80,7 +95,9 @@ def decide(
             f"{_shown(limits.correction[j], j)}"
         )
     width = interval.upper - interval.lower
-    if (width > limits.width).any():
+    away = drift.beyond(settings.least)
+    # A window that is still filling is wide; a drift is one all the same.
+    if (width > limits.width).any() and not (frames < window and away.any()):
         j = _worst(width / limits.width)
         wide = (
             f"the interval of {DOF_NAMES[j]} is {_shown(width[j], j)} wide, more than "
@@ -89,15 +106,16 @@ def decide(
         if frames < window:
             return UNTRUSTED, f"{frames} of {window} frames so far: {wide}"
         return RECALIBRATE, wide
-    if interval.away.any():
-        gap = np.maximum(interval.joint_lower, -interval.joint_upper)
-        j = _worst(np.where(interval.away, gap / limits.correction, -math.inf))
+    level = f"joint {100 * settings.level:g} % region"
+    if away.any():
+        gap = np.maximum(drift.joint_lower, -drift.joint_upper)
+        j = _worst(np.where(away, gap / limits.correction, -math.inf))
         return DRIFTING, (
-            f"the joint {100 * level:g} % region excludes zero: {DOF_NAMES[j]} is off by "
-            f"{_shown(interval.correction[j], j)} ({_shown(interval.joint_lower[j], j)} to "
-            f"{_shown(interval.joint_upper[j], j)})"
+            f"the {level} excludes zero: {DOF_NAMES[j]} is off by "
+            f"{_shown(drift.correction[j], j)} ({_shown(drift.joint_lower[j], j)} to "
+            f"{_shown(drift.joint_upper[j], j)})"
         )
-    return OK, f"zero lies in the joint {100 * level:g} % region"
+    return OK, f"the {level} holds zero, or comes next to it"
 
 
 def _worst(values: Vector) -> int:

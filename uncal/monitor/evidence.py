@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple, cast
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -15,27 +15,23 @@ from omegaconf import OmegaConf
 from torch import Tensor
 
 from uncal.data.dataset import FrameDataset, Sample, collate
-from uncal.data.image_size import size_at_focal
-from uncal.data.network_input import InputSettings, NetworkInput, make_input
+from uncal.data.image_size import Fit, size_at_focal
+from uncal.data.network_input import InputSettings, make_input
 from uncal.edges.evidence import pack, unpack
 from uncal.errors import FrameError
-from uncal.geometry.decalibration import DecalibrationRange
-from uncal.models.alignment import PRIOR, AlignmentEstimator
-from uncal.models.answer import Answer, Estimator, Prior, State
-from uncal.models.edge_alignment import EdgeAlignmentEstimator
+from uncal.geometry.decalibration import DecalibrationRange, correct
+from uncal.models.alignment import AlignmentEstimator
+from uncal.models.answer import Answer, Prior, State
 from uncal.models.module import CalibrationModule
 from uncal.models.split_prediction import frame_seed, spread_of
+from uncal.monitor.equations import Asker
+from uncal.monitor.pairing import Glimpse, PairingCheck, fit, glimpse
 from uncal.monitor.settings import SensorLimits
 from uncal.monitor.statistics import frame_statistics
 from uncal.recordings.frame import Frame, FrameId
 from uncal.runs.assembly import build_module
 from uncal.runs.checkpoint import load_weights, read_recipe
 from uncal.runs.evaluation_settings import focal_of
-from uncal.uncertainty.dropout.layers import only_active
-
-AVERAGED = 1e4
-"""Precision of a frame's pose, in units of the range, where a network has no normal equations: the
-same for all frames, and so large that the prior does not count. Windows are then plain means."""
 
 
 class Evidence(NamedTuple):
@@ -46,11 +42,13 @@ class Evidence(NamedTuple):
             decalibration of the extrinsic assumed, in units of the range; without the prior.
         statistics: (K,) :data:`uncal.monitor.statistics.STATISTICS`.
         prior: what the estimator knew of this frame before its rounds; None: nothing.
+        glimpse: for the check of pairings; None where the estimator reads no edges.
     """
 
     equations: Tensor
     statistics: NDArray[np.float64]
     prior: Prior | None = None
+    glimpse: Glimpse | None = None
 
 
 class Estimate(NamedTuple):
@@ -91,7 +89,8 @@ class EvidenceReader:
     Attributes:
         counts_start: whether the evidence holds what each frame's start has found; otherwise it is
             the prior that goes with it.
-        seconds: spent so far in :meth:`prepare` and :meth:`read`.
+        seconds: spent so far in each stage.
+        sample: of the last frame whose evidence was asked for; for pictures.
 
     Raises:
         ConfigurationError: no such weights.
@@ -109,7 +108,9 @@ class EvidenceReader:
         self.focal_px = focal_of(self.recipe)
         self.bounds: NDArray[np.float64] = self.range.bounds.double().numpy()
         self.counts_start = True
-        self.seconds = {"prepare": 0.0, "read": 0.0}
+        self.seconds = dict.fromkeys(("edges", "start", "network", "passes"), 0.0)
+        self.ask = Asker(self.module, self.range.bounds.to(device), self.seconds)
+        self.sample: Sample | None = None
         self._datasets: dict[tuple[int, int, float], FrameDataset] = {}
 
     def evidence(
@@ -127,17 +128,15 @@ class EvidenceReader:
                 no edge lies in it.
         """
         begin = time.perf_counter()
-        sample = self.prepare(frame, T_assumed)
-        prepared = time.perf_counter()
-        self.seconds["prepare"] += prepared - begin
-        if self._reads_edges and len(sample.edges) < limits.min_edges:
+        self.sample = None
+        self.sample = sample = self.prepare(frame, T_assumed)
+        self.seconds["edges"] += time.perf_counter() - begin
+        if self.ask.reads_edges and len(sample.edges) < limits.min_edges:
             raise FrameError(
                 f"{len(sample.edges)} edges of the sweep in the image, fewer than "
                 f"{limits.min_edges}"
             )
-        evidence = self.read(sample)
-        self.seconds["read"] += time.perf_counter() - prepared
-        return evidence
+        return self.read(sample)
 
     def prepare(self, frame: Frame, T_assumed: NDArray[np.float64]) -> Sample:
         """A frame at the network's size, culled, with its edges: work for the CPU.
@@ -159,15 +158,42 @@ class EvidenceReader:
             sample: of :meth:`prepare`.
         """
         batch = collate([[sample]])
-        if self._reads_edges:  # and draws no points, whose projection would be for nothing
+        if self.ask.reads_edges:  # and draws no points, whose projection would be for nothing
             batch = batch._replace(points=batch.points[:, :1])
         batch = batch.to(self.device)
+        seed = frame_seed(self.seed, "monitor", sample.frame)
         with torch.inference_mode():
             inputs = make_input(batch, torch.zeros(1, 6, device=self.device), self.inputs)
-            equations, residual, prior = self._equations(inputs, sample.frame)
-        alone = self.solve(equations)
-        statistics = frame_statistics(sample, residual, float(np.log(alone.std).mean()))
-        return Evidence(equations, statistics, prior)
+            equations, residual, prior = self.ask(inputs, seed, self.counts_start)
+            alone = self.solve(equations)
+            seen, fits = None, 0.0
+            if self.ask.alignment is not None:
+                seen = glimpse(inputs, self.ask.alignment)
+                fits = float(fit(seen, seen, self.corrected(inputs.T_init[0], alone)[None]))
+        statistics = frame_statistics(sample, fits, residual, float(np.log(alone.std).mean()))
+        return Evidence(equations, statistics, prior, seen)
+
+    def doubt(
+        self, check: PairingCheck, evidence: Evidence, T_assumed: NDArray[np.float64]
+    ) -> str | None:
+        """What is wrong with the pairing of image and sweep; None if nothing is.
+
+        Args:
+            check: has seen the frames before.
+            evidence: of the next frame.
+            T_assumed: (4, 4) the extrinsic that the evidence is about.
+        """
+        if evidence.glimpse is None:
+            return None
+        T = torch.from_numpy(T_assumed).to(self.device, torch.float32)
+        with torch.inference_mode():
+            both = torch.stack([T, self.corrected(T, self.solve(evidence.equations))])
+            return check.doubt(evidence.glimpse, both)
+
+    @staticmethod
+    def corrected(T: Tensor, estimate: Estimate) -> Tensor:
+        """(4, 4) extrinsic that an estimate has been taken out of."""
+        return correct(T, torch.from_numpy(estimate.mean).to(T))
 
     def solve(self, equations: Tensor, prior: Prior | None = None) -> Estimate:
         """The decalibration under a prior, given the sum of the evidence.
@@ -202,43 +228,17 @@ class EvidenceReader:
         s = torch.from_numpy(step / self.bounds).to(equations)
         return pack(normal, right - normal @ s)
 
-    @property
-    def _estimator(self) -> Estimator:
-        return cast(Estimator, self.module.estimator)
+    def fit(self, frame: Frame) -> Fit:
+        """How a frame's image, or its events, come to the network's size.
 
-    @property
-    def _reads_edges(self) -> bool:
-        return isinstance(self._estimator, AlignmentEstimator | EdgeAlignmentEstimator)
-
-    def _equations(
-        self, inputs: NetworkInput, frame: FrameId
-    ) -> tuple[Tensor, float, Prior | None]:
-        """(N, 27), the solver's residual and the prior of this frame."""
-        estimator = self._estimator
-        with only_active(self.module.estimator, []):
-            question = estimator.question(inputs)
-        seeds = [frame_seed(self.seed, "monitor", frame)]
-        samples = self.module.engine(*question.arguments, seed=seeds).samples
-        assert samples is not None
-        if isinstance(estimator, AlignmentEstimator):
-            assert question.state is not None
-            normal, right = unpack(samples[:, 0])
-            # Of what is left after the rounds before; the whole is that and what they found.
-            whole = right + normal @ question.state.pose[0]
-            with only_active(self.module.estimator, []):
-                residual = estimator.last.residual(*question.arguments)
-            prior = question.state.prior
-            if prior is not None and self.counts_start:
-                # What the start has found adds up over a window as the rest does.
-                known = _beyond(prior.precision[0], PRIOR / estimator.start_inflation)
-                normal, whole, prior = normal + known, whole + known @ prior.mean[0], None
-            return pack(normal, whole), float(residual), prior
-        if isinstance(estimator, EdgeAlignmentEstimator):
-            assert question.state is not None
-            pose, covariance, _ = question.state
-            return _without_prior(pose.float(), covariance.float()), 0.0, None
-        poses = estimator.answer(samples, inputs, question).samples[:, 0, :6]
-        return averaged(poses / self.range.bounds.to(poses)), 0.0, None
+        Args:
+            frame: of the camera that is watched.
+        """
+        source = frame.image.shape[:2] if frame.image is not None else None
+        if source is None:
+            assert frame.events is not None
+            source = frame.events.size
+        return self._dataset(frame).fit((source[0], source[1]), frame.K)
 
     def dataset(self, frame: Frame) -> FrameDataset:
         """What brings frames of this camera to the network's size.
@@ -276,30 +276,3 @@ class EvidenceReader:
                 )
             }
         return self._datasets[key]
-
-
-def averaged(poses: Tensor) -> Tensor:
-    """Poses of a network without normal equations as such; see :data:`AVERAGED`.
-
-    Args:
-        poses: (N, 6) in units of the range.
-
-    Returns:
-        (N, 27).
-    """
-    normal = (AVERAGED * torch.eye(6).to(poses)).expand(len(poses), 6, 6)
-    return pack(normal, AVERAGED * poses)
-
-
-def _without_prior(pose: Tensor, covariance: Tensor) -> Tensor:
-    """(1, 27) what a search has found beyond the prior, whose mean is zero."""
-    information = torch.linalg.inv(covariance[0])
-    return pack(_beyond(information, PRIOR), information @ pose[0])[None]
-
-
-def _beyond(information: Tensor, precision: float) -> Tensor:
-    """(6, 6) information without that of a prior of this precision, at least none."""
-    eye = torch.eye(6).to(information)
-    values, vectors = torch.linalg.eigh(information - precision * eye)
-    rest: Tensor = (vectors * values.clamp(min=0)) @ vectors.T
-    return rest

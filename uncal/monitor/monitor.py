@@ -17,6 +17,7 @@ from uncal.monitor.decision import Interval, decide
 from uncal.monitor.evidence import Estimate, Evidence, EvidenceReader
 from uncal.monitor.extrinsic import Change, ExtrinsicInUse, after_step
 from uncal.monitor.martingale import ExchangeabilityMartingale
+from uncal.monitor.pairing import PairingCheck
 from uncal.monitor.references import (
     FLOOR,
     References,
@@ -27,7 +28,7 @@ from uncal.monitor.references import (
 from uncal.monitor.settings import MonitorSettings
 from uncal.monitor.statistics import WINDOWED, SensorCheck
 from uncal.monitor.verdict import UNTRUSTED, Verdict
-from uncal.monitor.window import Window
+from uncal.monitor.window import RECENT, Window
 from uncal.recordings.frame import Frame, FrameId
 from uncal.recordings.static_transform import StaticTransform
 from uncal.uncertainty.conformal.calibrator import IntervalCalibrator
@@ -78,10 +79,13 @@ class Monitor:
         else:
             self.references.check_level(settings.level, settings.exchangeable)
             calibrators = list(self.references.calibrators(settings.exchangeable))
+            settings = self._within_reach(settings, self.references)
         self.settings = settings
         self.quantiles: Quantiles = make_quantiles(settings.adapt, calibrators, settings.level)
+        self.drift = make_quantiles(settings.adapt, calibrators, settings.drift.level)
         self.window = Window(settings.window, settings.forgetting)
         self.check = SensorCheck(settings.sensors)
+        self.pairing = PairingCheck(settings.sensors.pairing)
         self.martingale = (
             None
             if self.references is None
@@ -134,10 +138,11 @@ class Monitor:
                 fault = str(error)
         if fault is not None:
             doubts.append(fault)
-        elif self.references is not None and evidence is not None:
-            unlike = self.references.unlike(evidence.statistics, self.settings.sensors.margin)
-            doubts += [] if unlike is None else [unlike]
+        elif evidence is not None:
+            doubts += self._unlike(evidence)
         self.window.add(evidence, trusted=not doubts)
+        if self.references is not None and not doubts and evidence is not None:
+            self._forget_what_is_contradicted(self.references.jump)
         return self._say(str(frame.id), frame.time, doubts, reference)
 
     def missing(self, frame_id: FrameId, reason: str, time: float = float("nan")) -> Verdict:
@@ -152,7 +157,7 @@ class Monitor:
             ``untrusted``; before the first readable frame with an extrinsic of NaN.
         """
         if (frame_id.rig, frame_id.drive) != (self.rig, self.drive):
-            self.window.clear()
+            self._begin_drive()
         self.window.add(None)
         return self._say(str(frame_id), time, [reason], None)
 
@@ -205,9 +210,40 @@ class Monitor:
         if frame_id.rig != self.rig:
             self.in_use = ExtrinsicInUse(nominal, self.settings.update)
         if (frame_id.rig, frame_id.drive) != (self.rig, self.drive):
-            self.window.clear()
-            self._extrinsic.agreed = 0
+            self._begin_drive()
         self.rig, self.drive = frame_id.rig, frame_id.drive
+
+    def _begin_drive(self) -> None:
+        self.window.clear()
+        self.pairing.clear()
+        if self.in_use is not None:
+            self.in_use.agreed = 0
+
+    def _unlike(self, evidence: Evidence) -> list[str]:
+        """What of a frame is unlike the references, or wrongly paired."""
+        found = [self.reader.doubt(self.pairing, evidence, self._extrinsic.current)]
+        if self.references is not None:
+            margin = self.settings.sensors.margin
+            found.append(self.references.unlike(evidence.statistics, margin))
+        return [reason for reason in found if reason is not None]
+
+    def _forget_what_is_contradicted(self, usual: float) -> None:
+        """After a step the window is a mixture of both sides of it, and of use for neither."""
+        if usual > 0 and self.window.jump() > self.settings.drift.jump * usual:
+            self.window.keep_last(RECENT)
+
+    def _within_reach(self, settings: MonitorSettings, references: References) -> MonitorSettings:
+        """With a level of drifts that the references can tell."""
+        highest = references.highest_level(settings.exchangeable)
+        if settings.drift.level <= highest:
+            return settings
+        self.notes.append(
+            f"drift.level={settings.drift.level:g} needs more references than there are "
+            f"({references.count(settings.exchangeable)} {settings.exchangeable}s): "
+            f"{highest:g} is used"
+        )
+        level = max(highest, settings.level)
+        return replace(settings, drift=replace(settings.drift, level=level))
 
     def _find(
         self, given: str | Path | References | None, weights: Path, settings: MonitorSettings
@@ -241,26 +277,35 @@ class Monitor:
         return calibrator
 
     def _say(self, name: str, time: float, doubts: list[str], reference: Vector | None) -> Verdict:
-        interval = Interval.unknown()
+        interval = drift = Interval.unknown()
+        sigma = np.full(6, np.inf)
         n = len(self.window)
         if n > 0:
             # The weights' own calibration is of what the module estimates, prior included.
             prior = None if self.references else self.window.entries[-1].evidence.prior
             estimate = self.reader.solve(self.window.total(), prior)
-            interval = Interval.around(estimate.mean, estimate.std, self.quantiles.of(n))
+            sigma = estimate.std
+            interval = Interval.around(estimate.mean, sigma, self.quantiles.of(n))
+            drift = Interval.around(estimate.mean, sigma, self.drift.of(n))
             self._watch(estimate)
             if reference is not None:
                 self._learn(estimate, n, reference)
         if self.alarm is not None:
             doubts = [*doubts, self.alarm]
         verdict, reason = decide(
-            interval, self.settings.limits, self.settings.level, doubts, n, self.settings.window
+            interval,
+            self.settings.limits,
+            drift,
+            self.settings.drift,
+            doubts,
+            n,
+            self.settings.window,
         )
         full = n == self.settings.window
         trusted = verdict != UNTRUSTED and self.window.trusted and full
         step = None
         if self.in_use is not None:
-            step = self.in_use.consider(name, interval, trusted)
+            step = self.in_use.consider(name, drift, trusted)
         if step is not None:
             self.window.rebase(self.reader, step)
         return Verdict(
@@ -269,6 +314,7 @@ class Monitor:
             correction=interval.correction,
             lower=interval.lower,
             upper=interval.upper,
+            sigma=sigma,
             joint_lower=interval.joint_lower,
             joint_upper=interval.joint_upper,
             verdict=verdict,
@@ -307,4 +353,6 @@ class Monitor:
     def _learn(self, estimate: Estimate, frames: int, reference: Vector) -> None:
         D = np.linalg.inv(reference) @ self._extrinsic.current
         truth = matrix_to_pose(torch.from_numpy(D)).numpy()
-        self.quantiles.observe(frames, scores_of(estimate.mean, estimate.std, truth, FLOOR))
+        scores = scores_of(estimate.mean, estimate.std, truth, FLOOR)
+        for quantiles in (self.quantiles, self.drift):
+            quantiles.observe(frames, scores)

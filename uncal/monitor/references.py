@@ -10,6 +10,7 @@ from __future__ import annotations
 import io
 import json
 import logging
+import math
 import zipfile
 from dataclasses import dataclass
 from functools import cached_property
@@ -23,7 +24,7 @@ from uncal.errors import ConfigurationError, FrameError, RecordingError
 from uncal.geometry.transforms import DOF_NAMES, pose_to_matrix
 from uncal.monitor.evidence import Estimate, EvidenceReader
 from uncal.monitor.settings import MonitorSettings
-from uncal.monitor.statistics import STATISTICS, SensorCheck
+from uncal.monitor.statistics import STATISTICS, WINDOWED, SensorCheck
 from uncal.monitor.window import Window
 from uncal.recordings.frame import Frame, FrameId, Recording
 from uncal.reporting.layout import replaced_whole
@@ -56,6 +57,7 @@ class References:
         std: (m, W, 6) σ.
         frames: (m, W, K) :data:`uncal.monitor.statistics.STATISTICS` of the frames.
         windows: (m, K') :data:`uncal.monitor.statistics.WINDOWED` of the full windows.
+        jumps: (m,) largest :meth:`~uncal.monitor.window.Window.jump` within each window.
     """
 
     made_with: dict[str, object]
@@ -65,6 +67,25 @@ class References:
     std: Vector
     frames: Vector
     windows: Vector
+    jumps: Vector
+
+    @property
+    def jump(self) -> float:
+        """Largest contradiction of frames whose extrinsic did not change; 0: none was looked at."""
+        return float(self.jumps.max())
+
+    def count(self, exchangeable: str) -> int:
+        """How many drives, or windows."""
+        return len(set(self.drives)) if exchangeable == "drive" else len(self.drives)
+
+    def highest_level(self, exchangeable: str) -> float:
+        """Highest level that intervals can have, rounded down.
+
+        Args:
+            exchangeable: as in :meth:`calibrators`.
+        """
+        n = self.count(exchangeable)
+        return math.floor(1e4 * n / (n + 1)) / 1e4
 
     def calibrators(self, exchangeable: str) -> list[ConformalCalibrator]:
         """Those of 1 … W frames.
@@ -92,7 +113,7 @@ class References:
         Raises:
             ConfigurationError: names how many are needed.
         """
-        n = len(set(self.drives)) if exchangeable == "drive" else len(self.drives)
+        n = self.count(exchangeable)
         needed = samples_needed(miscoverage(level))
         if n < needed:
             hint = (
@@ -150,6 +171,7 @@ class References:
             std=self.std,
             frames=self.frames,
             windows=self.windows,
+            jumps=self.jumps,
         )
         return file.getvalue()
 
@@ -172,7 +194,7 @@ class References:
                     about["made_with"],
                     about["label"],
                     [str(name) for name in file["drives"]],
-                    *(file[name] for name in ("error", "std", "frames", "windows")),
+                    *(file[name] for name in ("error", "std", "frames", "windows", "jumps")),
                 )
         except FileNotFoundError as error:
             raise ConfigurationError(
@@ -254,6 +276,7 @@ def fingerprint(reader: EvidenceReader, settings: MonitorSettings) -> dict[str, 
         "window": settings.window,
         "forgetting": settings.forgetting,
         "start": reader.counts_start,
+        "statistics": list(WINDOWED),
     }
 
 
@@ -305,6 +328,7 @@ def make_references(
         std=np.stack([stretch.std for stretch in full]),
         frames=np.stack([stretch.frames for stretch in full]),
         windows=np.stack([stretch.window_statistics for stretch in full]),
+        jumps=np.array([stretch.jump for stretch in full]),
     )
 
 
@@ -326,6 +350,7 @@ class _Stretch:
         self.estimates: list[Estimate] = []
         self.seen: list[Vector] = []
         self.window_statistics = np.empty(0)
+        self.jump = 0.0
 
     @property
     def full(self) -> bool:
@@ -360,6 +385,7 @@ class _Stretch:
         D = pose_to_matrix(self.decalibration.double()).numpy()
         evidence = self.reader.evidence(frame, frame.T_cam_lidar @ D, self.settings.sensors)
         self.window.add(evidence)
+        self.jump = max(self.jump, self.window.jump())
         estimate = self.reader.solve(self.window.total())
         self.estimates.append(estimate)
         self.seen.append(evidence.statistics)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Mapping
+from contextlib import ExitStack
 from pathlib import Path
 from typing import cast
 
@@ -12,21 +13,20 @@ import torch
 from omegaconf import DictConfig, OmegaConf
 
 from uncal.errors import ConfigurationError, UncalError
+from uncal.monitor.bag_source import BagSettings
 from uncal.monitor.evidence import EvidenceReader
+from uncal.monitor.loop import Loop, outputs_of
 from uncal.monitor.monitor import Monitor
 from uncal.monitor.references import make_references, references_beside
 from uncal.monitor.run_folder import LINES, TABLE, RunFolder
 from uncal.monitor.settings import MonitorSettings
-from uncal.monitor.sources import SourceSettings, Unreadable, open_recording, stream
+from uncal.monitor.sources import SourceSettings, check_source, open_recording, stream
 from uncal.monitor.verdict import VERDICTS
 from uncal.monitor.view import View
 from uncal.simulation.manifest import MANIFEST_NAME
 from uncal.weights.shipped import find_weights, shipped_names
 
 log = logging.getLogger(__name__)
-
-PARTS = ("read the frame", "find edges", "network", "decide", "write")
-"""Where the time of a frame goes."""
 
 
 def chosen(config: DictConfig) -> str:
@@ -105,8 +105,7 @@ def watch(config: DictConfig, folder: Path) -> str:
     """
     weights = str(config.weights or config.ckpt)
     settings, source = _settings(config), _source(config, config.source)
-    if not source.follow:
-        open_recording(source)
+    check_source(source)
     monitor = Monitor(weights, references=config.references, settings=settings)
     for note in monitor.notes:
         log.warning("%s", note)
@@ -115,55 +114,35 @@ def watch(config: DictConfig, folder: Path) -> str:
         "source": str(source.root.resolve()),
         "settings": OmegaConf.to_container(OmegaConf.masked_copy(config, _kept(config))),
     }
-    seconds = dict.fromkeys(PARTS, 0.0)
-    counts, frames, changes, last = {}, 0, 0, ""
-    with RunFolder(folder, monitor, about) as run, View(monitor, source.root) as view:
+    with (
+        RunFolder(folder, monitor, about) as run,
+        View(monitor) as view,
+        ExitStack() as stack,
+    ):
         if run.resumed:
             log.info("going on after %d frames in %s", run.resumed, folder)
-        begin = now = time.perf_counter()
+        outputs = outputs_of(
+            monitor, folder, run.resumed, config.tensorboard, config.overlays, config.rerun
+        )
+        for output in outputs:
+            stack.callback(output.close)
+        loop = Loop(monitor, run, outputs, view)
         try:
-            for item in stream(source, run.reported, time.monotonic):
-                now = _spent(seconds, "read the frame", now)
-                before = dict(monitor.reader.seconds)
-                if isinstance(item, Unreadable):
-                    verdict = monitor.missing(item.id, item.reason)
-                else:
-                    verdict = monitor.update(item)
-                inside = {key: monitor.reader.seconds[key] - before[key] for key in before}
-                now = _spent(seconds, "decide", now)
-                seconds["find edges"] += inside["prepare"]
-                seconds["network"] += inside["read"]
-                seconds["decide"] -= sum(inside.values())
-                run.keep(verdict)
-                now = _spent(seconds, "write", now)
-                frames += 1
-                changes += verdict.updated
-                view.show(verdict, frames / (time.perf_counter() - begin))
-                last = view.estimate(verdict)
+            loop.over(stream(source, run.reported, time.monotonic))
         except KeyboardInterrupt:
             log.warning("interrupted; the same command with hydra.run.dir=%s goes on", folder)
-        counts = dict(run.counts)
-        seen = run.resumed + frames
+        counts, seen = dict(run.counts), run.resumed + loop.frames
     if not seen:
         return f"No frame in {source.root}."
     told = ", ".join(f"{counts[name]} {name}" for name in VERDICTS if counts.get(name))
-    lines = [f"{seen} frames: {told}", last]
-    if changes:
-        lines.append(f"The extrinsic in use was changed {changes} time(s).")
-    total = sum(seconds.values())
-    if frames and total > 0:
-        shares = ", ".join(f"{name} {100 * seconds[name] / total:.0f} %" for name in PARTS)
-        lines.append(f"{frames / total:.1f} frames a second: {shares}")
+    lines = [f"{seen} frames: {told}", "" if loop.last is None else view.estimate(loop.last)]
+    if loop.changes:
+        lines.append(f"The extrinsic in use was changed {loop.changes} time(s).")
+    lines.append(loop.shares())
     transform = monitor.static_transform()
     files = [] if transform is None else transform.write(folder / "estimate")
     lines.append(f"{folder / LINES}, {', '.join([TABLE, *(path.name for path in files)])}")
     return "\n".join(filter(None, lines))
-
-
-def _spent(seconds: dict[str, float], part: str, since: float) -> float:
-    now = time.perf_counter()
-    seconds[part] += now - since
-    return now
 
 
 def _device() -> torch.device:
@@ -188,4 +167,12 @@ def _source(config: DictConfig, root: str) -> SourceSettings:
         stride=config.stride,
         follow=config.follow,
         patience_s=config.patience_s,
+        bag=BagSettings(
+            camera_topic=config.camera_topic,
+            lidar_topic=config.lidar_topic,
+            info_topic=config.info_topic,
+            extrinsic=None if config.extrinsic is None else Path(config.extrinsic).expanduser(),
+            tolerance_s=config.tolerance_s,
+            offset_s=config.offset_s,
+        ),
     )

@@ -61,6 +61,8 @@ class SensorLimits:
         min_contrast: standard deviation of an image, 0..255.
         min_events: of an event camera's window.
         margin: how far beyond the range of the references an input may be, in widths of it.
+        pairing: by how much a sweep may fit the image of another frame better than its own, in
+            spreads of edge strength.
     """
 
     min_points: int
@@ -69,6 +71,7 @@ class SensorLimits:
     min_contrast: float
     min_events: int
     margin: float
+    pairing: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,6 +87,30 @@ class AlarmSettings:
     false_alarm_rate: float
     period: int
     recovery: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class DriftSettings:
+    """When a correction is a drift.
+
+    Attributes:
+        level: of the joint region that must exclude zero; as high as the references allow, if they
+            are too few for it.
+        least_cm: the region must lie beyond this in a translation, since no extrinsic is exact.
+        least_deg: in a rotation.
+        jump: a frame contradicts the window where it does so this many times as much as any of the
+            references; two in a row empty the window.
+    """
+
+    level: float
+    least_cm: float
+    least_deg: float
+    jump: float
+
+    @property
+    def least(self) -> NDArray[np.float64]:
+        """(6,) metres and radians."""
+        return per_dof(self.least_cm, self.least_deg)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,6 +145,7 @@ class MonitorSettings:
         level: of the intervals and the joint region.
         exchangeable: one of :data:`EXCHANGEABLE`: what a new stream is like.
         limits: of the verdict ``recalibrate``.
+        drift: of the verdict ``drifting``.
         sensors: of the verdict ``untrusted``.
         alarm: of the exchangeability martingale.
         update: of the extrinsic in use.
@@ -130,6 +158,7 @@ class MonitorSettings:
     level: float
     exchangeable: str
     limits: Limits
+    drift: DriftSettings
     sensors: SensorLimits
     alarm: AlarmSettings
     update: UpdateSettings
@@ -145,6 +174,8 @@ class MonitorSettings:
         _check("window", self.window, 1, 1000, whole=True)
         _check("forgetting", self.forgetting, 1e-3, 1)
         _check("level", self.level, 1e-6, 1 - 1e-6)
+        _check("drift.level", self.drift.level, 1e-6, 1 - 1e-6)
+        _check("drift.jump", self.drift.jump, 0, 1e9)
         _check("alarm.false_alarm_rate", self.alarm.false_alarm_rate, 1e-9, 0.5)
         _check("alarm.period", self.alarm.period, 1, 10**7, whole=True)
         _check("alarm.recovery", self.alarm.recovery, 1, 10**6, whole=True)
@@ -154,6 +185,8 @@ class MonitorSettings:
             "update.step_cm": self.update.step_cm,
             "update.step_deg": self.update.step_deg,
         }
+        for name in ("least_cm", "least_deg"):
+            _check(f"drift.{name}", getattr(self.drift, name), 0, 1e6)
         for key, value in positive.items():
             _check(key, value, 1e-6, 1e6)
         for name, value in asdict(self.sensors).items():
@@ -176,6 +209,7 @@ class MonitorSettings:
         """
         groups: dict[str, type] = {
             "limits": Limits,
+            "drift": DriftSettings,
             "sensors": SensorLimits,
             "alarm": AlarmSettings,
             "update": UpdateSettings,

@@ -1,18 +1,20 @@
-"""Where frames come from: a recording in a known layout, finished or still being written."""
+"""Where frames come from: a bag, or a recording in a known layout, perhaps still being written."""
 
 from __future__ import annotations
 
 import re
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from omegaconf import OmegaConf
 
 from uncal.errors import ConfigurationError, FrameError, RecordingError
+from uncal.monitor.bag_source import BagSettings, bag_frames
+from uncal.recordings.bag_stream import is_bag
 from uncal.recordings.frame import Frame, FrameId, Recording
-from uncal.recordings.layout_names import layout_of
+from uncal.recordings.plain_calibration import FILE
 from uncal.settings.configuration import CONFIG_DIR
 
 POLL_S = 0.2
@@ -22,6 +24,7 @@ SETTLED_S = 1.0
 """The newest frame is read once a later one is there, or after so long without news: before that
 its files may be half written."""
 
+_DATE = re.compile(r"\d{4}_\d{2}_\d{2}")
 _NAME = re.compile(r"(.+)/(.+)/(\d+)")
 
 
@@ -36,6 +39,7 @@ class SourceSettings:
         stride: every n-th frame.
         follow: wait for frames that are still to be written.
         patience_s: of follow: seconds without a new frame after which it ends.
+        bag: topics and nominal extrinsic where the source is a bag.
     """
 
     root: Path
@@ -44,6 +48,7 @@ class SourceSettings:
     stride: int
     follow: bool
     patience_s: float
+    bag: BagSettings = field(default_factory=BagSettings)
 
 
 @dataclass(frozen=True)
@@ -69,31 +74,44 @@ def open_recording(settings: SourceSettings) -> Recording:
         RecordingError: no folder, or none of the layouts.
     """
     root = settings.root.expanduser()
-    layout = layout_of(root, "source")
+    if is_bag(root):
+        raise RecordingError(
+            f"{root} is a bag, which can be watched as source=, but not read twice; make a folder "
+            f"of it: python -m uncal.convert source={root} root=FOLDER"
+        )
+    if not root.is_dir():
+        raise RecordingError(f"source={root}: no such folder, .bag, .mcap or .db3 file")
     drives, stride = settings.drives, settings.stride
-    if layout == "folder":
-        from uncal.recordings.plain_folder import PlainFolder
-
-        return PlainFolder(root, settings.camera, drives=drives, stride=stride)
-    if layout == "kitti":
+    names = [path.name for path in root.iterdir() if path.is_dir()]
+    if any(_DATE.fullmatch(name) for name in names):
         from uncal.recordings.kitti import KittiRaw
 
         return KittiRaw(root, settings.camera or "image_02", stride, drives)
-    if layout == "kitti_odometry":
+    if (root / FILE).is_file() or any((root / name / FILE).is_file() for name in names):
+        from uncal.recordings.plain_folder import PlainFolder
+
+        return PlainFolder(root, settings.camera, None, drives, stride)
+    if "sequences" in names:
         from uncal.recordings.kitti_odometry import KittiOdometry
 
         return KittiOdometry(root, drives, settings.camera or "image_2", stride)
-    from uncal.recordings.dsec import Dsec
+    if "data" in names or any((root / name / "events").is_dir() for name in names):
+        from uncal.recordings.dsec import Dsec
 
-    known = OmegaConf.load(Path(CONFIG_DIR) / "dataset" / "dsec.yaml")
-    return Dsec(
-        root,
-        known.window_ms,
-        known.min_events,
-        drives,
-        settings.camera or known.side,
-        stride,
-        known.scan_time,
+        known = OmegaConf.load(Path(CONFIG_DIR) / "dataset" / "dsec.yaml")
+        return Dsec(
+            root,
+            known.window_ms,
+            known.min_events,
+            drives,
+            settings.camera or known.side,
+            stride,
+            known.scan_time,
+        )
+    raise RecordingError(
+        f"source={root}: none of the known layouts: KITTI raw (date folders such as 2011_09_26), "
+        f"KITTI odometry (sequences/), DSEC (sequences with events/, and data/) or a rig of one's "
+        f"own ({FILE})"
     )
 
 
@@ -111,6 +129,9 @@ def stream(
     Raises:
         RecordingError: the source cannot be used at all.
     """
+    if is_bag(settings.root.expanduser()):
+        yield from _of_bag(settings, reported)
+        return
     last_news, newest = clock(), None
     while True:
         try:
@@ -135,6 +156,38 @@ def stream(
         if not settings.follow or clock() - last_news > settings.patience_s:
             return
         time.sleep(POLL_S)
+
+
+def check_source(settings: SourceSettings) -> None:
+    """Refuse a source that cannot be watched, before the weights are loaded.
+
+    Args:
+        settings: where from.
+
+    Raises:
+        RecordingError: there are no frames.
+        ConfigurationError: a bag that is to be followed.
+    """
+    if not is_bag(settings.root.expanduser()):
+        if not settings.follow:
+            open_recording(settings)
+    elif settings.follow:
+        raise ConfigurationError(
+            "follow=true: a bag has its index at its end and cannot be read while it is written; "
+            "follow a folder, or use the library in a node (examples/ros2_node.py)"
+        )
+
+
+def _of_bag(
+    settings: SourceSettings, reported: dict[tuple[str, str], int]
+) -> Iterator[Frame | Unreadable]:
+    for seen in bag_frames(settings.root.expanduser(), settings.bag):
+        frame_id, reason = (seen.id, None) if isinstance(seen, Frame) else seen
+        place = frame_id.rig, frame_id.drive
+        if frame_id.index % settings.stride or frame_id.index <= reported.get(place, -1):
+            continue
+        reported[place] = frame_id.index
+        yield seen if isinstance(seen, Frame) else Unreadable(frame_id, str(reason))
 
 
 def last_reported(names: Sequence[str]) -> dict[tuple[str, str], int]:

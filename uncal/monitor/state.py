@@ -10,6 +10,7 @@ import torch
 from uncal.monitor.evidence import Evidence
 from uncal.monitor.extrinsic import Change, ExtrinsicInUse
 from uncal.monitor.monitor import Monitor
+from uncal.monitor.pairing import Glimpse
 from uncal.monitor.window import Entry
 
 State = dict[str, Any]
@@ -39,7 +40,12 @@ def state_of(monitor: Monitor) -> State:
         "alarm": monitor.alarm,
         "calm": monitor.calm,
         "fed": monitor.fed,
-        "quantiles": {name: torch.tensor(v) for name, v in monitor.quantiles.state().items()},
+        "quantiles": [
+            {name: torch.tensor(v) for name, v in quantiles.state().items()}
+            for quantiles in (monitor.quantiles, monitor.drift)
+        ],
+        "past": [[part.cpu() for part in glimpse] for glimpse in monitor.pairing.past],
+        "better": list(monitor.pairing.better),
         "martingale": None
         if martingale is None
         else {
@@ -78,8 +84,16 @@ def restore(monitor: Monitor, state: State) -> None:
     camera, lidar = state["last"]
     monitor.check.last = (camera, lidar)
     monitor.alarm, monitor.calm, monitor.fed = state["alarm"], state["calm"], state["fed"]
-    if state["quantiles"]:
-        monitor.quantiles.load({name: v.numpy() for name, v in state["quantiles"].items()})
+    for quantiles, known in zip(
+        (monitor.quantiles, monitor.drift), state["quantiles"], strict=True
+    ):
+        if known:
+            quantiles.load({name: v.numpy() for name, v in known.items()})
+    device = monitor.reader.device
+    monitor.pairing.past.extend(
+        Glimpse(*(part.to(device) for part in parts)) for parts in state["past"]
+    )
+    monitor.pairing.better.extend(state["better"])
     if monitor.martingale is not None and state["martingale"] is not None:
         known = state["martingale"]
         monitor.martingale.go_on(known["tests"], known["fed"].numpy(), known["shares"].numpy())

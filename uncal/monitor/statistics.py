@@ -17,7 +17,7 @@ Vector = NDArray[np.float64]
 STATISTICS: tuple[str, ...] = (
     *("brightness", "contrast", "sharpness"),
     *("number of points", "range", "reflectance", "number of edges"),
-    *("solver's residual", "σ of the frame alone"),
+    *("fit of the edges", "solver's residual", "σ of the frame alone"),
 )
 """Of a frame, in the order of :func:`frame_statistics`."""
 
@@ -25,18 +25,19 @@ WINDOWED: tuple[str, ...] = (*STATISTICS, "σ", "disagreement of the frames")
 """Of a window: means of its frames' statistics, and what only the window has."""
 
 
-def frame_statistics(sample: Sample, residual: float, log_sigma: float) -> Vector:
+def frame_statistics(sample: Sample, fits: float, residual: float, log_sigma: float) -> Vector:
     """What one frame looks like.
 
     Args:
         sample: at the network's size, culled.
+        fits: how well its edges lie on those of the image, :func:`uncal.monitor.pairing.fit`.
         residual: of the solver, pixels.
         log_sigma: mean logarithm of σ of the frame alone.
 
     Returns:
         (K,) as :data:`STATISTICS`: mean, standard deviation and gradient (relative to it) of the
         camera; log number of points near the image, their log median range and mean reflectance;
-        log number of edges; residual; log σ.
+        log number of edges; fit; residual; log σ.
     """
     camera = sample.camera.float().mean(0)
     contrast = float(camera.std())
@@ -52,6 +53,7 @@ def frame_statistics(sample: Sample, residual: float, log_sigma: float) -> Vecto
             np.log(max(float(np.median(ranges)), 1e-3)),
             float(points[:, 3].mean()) if len(points) else 0.0,
             np.log1p(len(sample.edges)),
+            fits,
             residual,
             log_sigma,
         ]

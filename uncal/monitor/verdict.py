@@ -30,6 +30,7 @@ class Verdict:
         correction: (6,) D̂, metres and radians; zeros without evidence.
         lower: (6,) of the interval of each DoF; -inf where too little is known.
         upper: (6,) of the same.
+        sigma: (6,) σ of the estimate; infinite without evidence.
         joint_lower: (6,) of the box that holds all six DoF at once.
         joint_upper: (6,) of the same.
         verdict: one of :data:`VERDICTS`.
@@ -45,6 +46,7 @@ class Verdict:
     correction: Vector
     lower: Vector
     upper: Vector
+    sigma: Vector
     joint_lower: Vector
     joint_upper: Vector
     verdict: str
@@ -64,6 +66,7 @@ class Verdict:
             "correction": _numbers(self.correction),
             "lower": _numbers(self.lower),
             "upper": _numbers(self.upper),
+            "sigma": _numbers(self.sigma),
             "joint_lower": _numbers(self.joint_lower),
             "joint_upper": _numbers(self.joint_upper),
             "extrinsic": [_numbers(row) for row in self.extrinsic],

@@ -7,13 +7,12 @@ import math
 import sys
 import time
 from collections import deque
-from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from uncal.geometry import DOF_NAMES
+from uncal.geometry.transforms import DOF_NAMES
 from uncal.monitor.monitor import Monitor
 from uncal.monitor.verdict import OK, Verdict
 from uncal.system.progress import LOG_INTERVAL
@@ -39,12 +38,11 @@ class View:
 
     Args:
         monitor: for its limits.
-        root: the source, for the title.
     """
 
-    def __init__(self, monitor: Monitor, root: Path) -> None:
+    def __init__(self, monitor: Monitor) -> None:
         self.limits = monitor.settings.limits.correction * SCALE
-        self.root = root
+        self.widths = monitor.settings.limits.width * SCALE
         self.events: deque[str] = deque(maxlen=EVENTS)
         self.before = OK
         self.told = -math.inf
@@ -89,7 +87,7 @@ class View:
             log.info("%s (%.1f frames a second)", said, rate)
 
     def table(self, verdict: Verdict, rate: float) -> Table:
-        """Estimate, intervals against the limits, verdict, last events.
+        """Verdict, estimate, intervals against the limits, last events.
 
         Args:
             verdict: of a frame.
@@ -99,11 +97,13 @@ class View:
 
         colour = COLOURS[verdict.verdict]
         table = Table(
-            title=f"{self.root} · {verdict.frame} · {rate:.1f} frames a second",
-            caption="\n".join([f"[{colour}]{verdict.verdict}[/]: {verdict.reason}", *self.events]),
+            title=f"{verdict.frame} · {rate:.1f} frames a second\n"
+            f"[bold {colour}]{verdict.verdict}[/]: {verdict.reason}",
+            title_justify="left",
+            caption="\n".join(["last events:", *self.events]) if self.events else None,
             caption_justify="left",
         )
-        for name in ("DoF", "correction", "interval", "within the limits"):
+        for name in ("DoF", "correction", "interval", "limit", "interval within the limits"):
             table.add_column(name)
         lower, upper = verdict.lower * SCALE, verdict.upper * SCALE
         for i, dof in enumerate(DOF_NAMES):
@@ -111,9 +111,17 @@ class View:
                 dof,
                 f"{verdict.correction[i] * SCALE[i]:+.2f} {UNITS[i]}",
                 f"{lower[i]:+.2f} … {upper[i]:+.2f}",
+                f"± {self.limits[i]:.3g} {UNITS[i]}",
                 bar(lower[i], upper[i], self.limits[i]),
+                style=self._style(verdict.correction[i] * SCALE[i], lower[i], upper[i], i),
             )
         return table
+
+    def _style(self, correction: float, lower: float, upper: float, i: int) -> str:
+        """Red beyond a limit, yellow where the interval excludes zero."""
+        if abs(correction) > self.limits[i] or upper - lower > self.widths[i]:
+            return "red"
+        return "yellow" if lower > 0 or upper < 0 else ""
 
     @staticmethod
     def estimate(verdict: Verdict) -> str:

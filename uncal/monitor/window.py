@@ -16,6 +16,9 @@ from uncal.monitor.evidence import Estimate, Evidence, EvidenceReader
 
 Vector = NDArray[np.float64]
 
+RECENT = 2
+"""So many frames in a row must contradict those before, lest one bad frame empty a window."""
+
 
 @dataclass(frozen=True)
 class Entry:
@@ -59,13 +62,46 @@ class Window:
         """
         self.number += 1
         if evidence is not None:
-            self.entries.append(Entry(self.number, evidence, trusted))
+            kept = evidence._replace(glimpse=None)  # which is large, and needed no longer
+            self.entries.append(Entry(self.number, kept, trusted))
         while self.entries and self.entries[0].number <= self.number - self.frames:
             self.entries.popleft()
 
     def clear(self) -> None:
         """Forget all, as before the first frame of a drive."""
         self.entries.clear()
+
+    def keep_last(self, frames: int) -> None:
+        """Forget all but the last frames.
+
+        Args:
+            frames: with evidence, to keep.
+        """
+        while len(self.entries) > frames:
+            self.entries.popleft()
+
+    def jump(self) -> float:
+        """How much each of the last frames contradicts those before, as the least of them does.
+
+        With poses x and covariances C of a frame alone and of the frames before the last
+        :data:`RECENT`, (x₁ - x₂)ᵀ (C₁ + C₂)⁻¹ (x₁ - x₂) / 6. Errors of frames are dependent and σ
+        is not exact, so that no χ² distribution is assumed: references say what is usual.
+
+        Returns:
+            At least 0; 0 where not as many frames stand against the last ones.
+        """
+        if len(self.entries) < 2 * RECENT:
+            return 0.0
+        ages = torch.arange(len(self.entries) - RECENT - 1, -1, -1)
+        rows = torch.stack([entry.evidence.equations.mean(0) for entry in self.entries]).double()
+        weights = (self.forgetting**ages).to(rows)
+        before = (rows[:-RECENT] * weights[:, None]).sum(0)
+        normal, right = unpack(torch.cat([before[None], rows[-RECENT:]]))
+        covariance = torch.linalg.inv(normal + PRIOR * torch.eye(6).to(normal))
+        pose = (covariance @ right[..., None]).squeeze(-1)
+        apart = pose[1:] - pose[0]
+        squared = (apart * torch.linalg.solve(covariance[1:] + covariance[0], apart)).sum(-1)
+        return float(squared.min() / 6)
 
     @property
     def trusted(self) -> bool:

@@ -67,6 +67,19 @@ class Observation:
     n_dropped: int
 
 
+@dataclass(frozen=True)
+class Unpaired:
+    """A message of a bag that becomes no :class:`Observation`.
+
+    Attributes:
+        time: its stamp, seconds.
+        reason: for people.
+    """
+
+    time: float
+    reason: str
+
+
 def is_bag(path: Path) -> bool:
     """Whether a path is a bag: a .bag, .mcap or .db3 file, or a folder with metadata.yaml."""
     if path.is_dir():
@@ -155,6 +168,14 @@ class BagStream:
         Raises:
             RecordingError: the file is damaged from here on.
         """
+        return (seen for seen in self.everything() if isinstance(seen, Observation))
+
+    def everything(self) -> Iterator[Observation | Unpaired]:
+        """Pairs in the order of the scans, and what should have been one.
+
+        Raises:
+            RecordingError: the file is damaged from here on.
+        """
         images: deque[tuple[int, bytes, str]] = deque()
         scans: deque[tuple[int, bytes, str]] = deque()
         for connection, stamp, raw in self._stamped():
@@ -168,16 +189,19 @@ class BagStream:
             while scans and (len(scans) > _WAITING or (images and images[-1][0] >= scans[0][0])):
                 yield from self._paired(scans.popleft(), images)
             if len(images) > _WAITING and not scans:
-                images.popleft()
+                lonely = images.popleft()[0] - self._offset_ns
+                yield Unpaired(lonely / 1e9, f"no LiDAR sweep among the last {_WAITING} images")
         while scans:
             yield from self._paired(scans.popleft(), images)
 
     def _paired(
         self, scan: tuple[int, bytes, str], images: deque[tuple[int, bytes, str]]
-    ) -> Iterator[Observation]:
+    ) -> Iterator[Observation | Unpaired]:
         nearest = min(images, key=lambda image: abs(image[0] - scan[0]), default=None)
         if nearest is None or abs(nearest[0] - scan[0]) > self._tolerance_ns:
             self.counts["scans without an image"] += 1
+            tolerance = self._tolerance_ns / 1e9
+            yield Unpaired(scan[0] / 1e9, f"no image within {tolerance:g} s of the LiDAR sweep")
             return
         while images and images[0][0] < nearest[0]:
             images.popleft()
@@ -197,6 +221,7 @@ class BagStream:
         except _DAMAGE as error:
             self.counts["unreadable"] += 1
             self.reasons[str(error)] += 1
+            yield Unpaired(scan[0] / 1e9, str(error))
             return
         self.counts["pairs"] += 1
         self.counts["undistorted"] += self.lens.model != "none"

@@ -139,12 +139,12 @@ def check_pairing(config: DictConfig, inputs: InputSettings) -> None:
     Raises:
         ConfigurationError: it has not.
     """
-    offers = choice("dataset.offers", config.dataset.get("offers", "rgb"), CAMERAS)
-    if inputs.camera in (None, offers):
+    modality = choice("dataset.modality", config.dataset.get("modality", "rgb"), CAMERAS)
+    if inputs.camera in (None, modality):
         return
     raise ConfigurationError(
         f"model={config.model.name} reads {inputs.camera}, but dataset={config.dataset.name} "
-        f"offers {offers}: choose model={MODELS[offers]}, or a dataset that offers "
+        f"gives {modality}: choose model={MODELS[modality]}, or a dataset that gives "
         f"{inputs.camera} ({DATASETS[str(inputs.camera)]})"
     )
 
@@ -211,7 +211,7 @@ def _estimator(
             list(model.rounds),
             instantiate(model.learning),
             start and _edge_alignment(config, start, decalibration),
-            4.0 if start is None else start.inflation,
+            16.0 if start is None else start.inflation,
         )
     if isinstance(network, EdgeAlignment):
         return EdgeAlignmentEstimator(network, decalibration.bounds, instantiate(model.search))

@@ -18,7 +18,7 @@ from uncal.settings.configuration import in_multirun, job_folder, job_overrides
 from uncal.uncertainty.dropout.pass_memory import PassMemory
 from uncal.weights.digest import digest_of, digest_of_code
 from uncal.weights.ingredients import data_ingredients, pass_ingredients
-from uncal.weights.obtain import Weights
+from uncal.weights.load_or_train import Weights
 
 log = logging.getLogger(__name__)
 

@@ -44,16 +44,7 @@ def ensure_simulated(
     with locked(root / LOCK_NAME, f"simulates into {root}"):
         present = read_manifest(root)
         if present is not None and present.fingerprint != settings.fingerprint():
-            log.warning(
-                "%s holds a simulation with other settings or of another version (%s, wanted %s): "
-                "replacing it",
-                root,
-                present.fingerprint,
-                settings.fingerprint(),
-            )
-            _remove(root, present.dates)
-            # Only now: a removal that is cut short must still find the old list of folders.
-            Manifest.of(settings, finished=False).write(root)
+            discard(root, present, settings)
             present = None
         layout = layout_of(settings)
         missing = [rig for rig in range(settings.n_rigs) if not layout.is_complete(rig, root)]
@@ -69,6 +60,26 @@ def ensure_simulated(
             )
         write_missing(settings, root, workers, progress)
     return root
+
+
+def discard(root: Path, present: Manifest, settings: SimulationSettings) -> None:
+    """Remove a simulation that is not the one wanted; the caller holds the lock of its folder.
+
+    Args:
+        root: folder of the simulation.
+        present: what it holds.
+        settings: what is wanted there.
+    """
+    log.warning(
+        "%s holds a simulation with other settings or of another version (%s, wanted %s): "
+        "replacing it",
+        root,
+        present.fingerprint,
+        settings.fingerprint(),
+    )
+    _remove(root, present.dates)
+    # Only now: a removal that is cut short must still find the old list of folders.
+    Manifest.of(settings, finished=False).write(root)
 
 
 def _remove(root: Path, folders: list[str]) -> None:

@@ -123,7 +123,7 @@ def _simulate_rigs(
                 open_pieces[piece.rig] -= 1
                 if not open_pieces[piece.rig]:
                     layout.finish(piece.rig, partial[piece.rig])
-                    _publish(layout, piece.rig, partial[piece.rig], root)
+                    publish(layout, piece.rig, partial[piece.rig], root)
         except BrokenProcessPool as error:
             raise RecordingError(
                 "a simulating process was killed, perhaps for lack of memory; run again (finished "
@@ -144,7 +144,7 @@ def _pieces(settings: SimulationSettings, index: int) -> list[Piece]:
     ]
 
 
-def _publish(layout: Layout, rig: int, partial: Path, root: Path) -> None:
+def publish(layout: Layout, rig: int, partial: Path, root: Path) -> None:
     """Give the folders of a finished rig their names; incomplete ones of that name are replaced."""
     for name in layout.folders(rig):
         final = root / name

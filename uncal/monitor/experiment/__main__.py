@@ -25,7 +25,9 @@ def main(config: DictConfig) -> None:
     from uncal.monitor.experiment.run import run_experiment
     from uncal.reporting.run_record import command_line
     from uncal.settings.check import check_settings
+    from uncal.system.memory import keep_freed_memory
 
+    keep_freed_memory()
     quiet_libraries()
     check_settings(config)
     hydra_config = HydraConfig.get()

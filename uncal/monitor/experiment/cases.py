@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import cast
@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 from omegaconf import DictConfig, OmegaConf
 
 from uncal.errors import ConfigurationError
-from uncal.geometry import DOF_NAMES
+from uncal.geometry.transforms import DOF_NAMES
 from uncal.recordings.frame import Frame
 from uncal.recordings.kitti import KittiRaw
 from uncal.simulation.cache import ensure_simulated
 from uncal.simulation.faults import Fault
+from uncal.simulation.moved import ensure_moved
 from uncal.simulation.sensors.mount_motion import read_truth
 from uncal.simulation.settings import MotionSettings, SimulationSettings
 
@@ -120,28 +121,30 @@ class ExperimentSettings:
             made.append(Case(FAULT, name, self.drives[FAULT], fault=fault))
         return made
 
-    def recorded(self, case: Case) -> Iterator[Drive]:
-        """The drives of a case, simulated if they are not there yet.
+    def recorded(self, case: Case, number: int) -> Drive:
+        """A drive of a case; its recordings are simulated if they are not there yet.
 
         Args:
             case: one of :meth:`cases`.
+            number: of the drive, below ``case.drives``.
         """
-        moving = case.motion is not None
-        n = case.drives if moving else self.drives[STILL]
-        settings = replace(self.simulation, n_rigs=n, motion=case.motion)
-        root = Path(self.root) / (case.name if moving else STILL)
-        ensure_simulated(settings, root, self.workers)
+        still = replace(self.simulation, n_rigs=self.drives[STILL])
+        root = ensure_simulated(still, Path(self.root) / STILL, self.workers)
+        if case.motion is not None:
+            moving = replace(self.simulation, n_rigs=case.drives, motion=case.motion)
+            root = ensure_moved(moving, root, Path(self.root) / case.name)
         recording = KittiRaw(root)
         places = dict.fromkeys((frame_id.rig, frame_id.drive) for frame_id in recording.frame_ids)
-        for rig, drive in list(places)[: case.drives]:
-            frames = [
-                recording.load(frame_id)
-                for frame_id in recording.frame_ids
-                if (frame_id.rig, frame_id.drive) == (rig, drive)
-            ][: self.frames]
-            nominal = np.stack([frame.T_cam_lidar for frame in frames])
-            truth = read_truth(root / rig / drive)[: len(frames)] if moving else nominal
-            yield Drive(drive, frames, truth)
+        rig, drive = list(places)[number]
+        frames = [
+            recording.load(frame_id)
+            for frame_id in recording.frame_ids
+            if (frame_id.rig, frame_id.drive) == (rig, drive)
+        ][: self.frames]
+        truth = np.stack([frame.T_cam_lidar for frame in frames])
+        if case.motion is not None:
+            truth = read_truth(root / rig / drive)[: len(frames)]
+        return Drive(drive, frames, truth)
 
     def _motion(self, changes: Mapping[str, float]) -> MotionSettings:
         still = dict.fromkeys((*KEYS, "vibration_cm", "vibration_deg"), 0.0)

@@ -12,12 +12,12 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from uncal.geometry import DOF_NAMES, matrix_to_pose
+from uncal.geometry.transforms import DOF_NAMES, matrix_to_pose
 from uncal.monitor.evidence import Evidence, EvidenceReader
 from uncal.monitor.experiment.cases import Case, Drive
 from uncal.monitor.extrinsic import after_step
 from uncal.monitor.monitor import Monitor
-from uncal.monitor.verdict import UNTRUSTED, Verdict
+from uncal.monitor.verdict import DRIFTING, RECALIBRATE, UNTRUSTED, Verdict
 from uncal.recordings.frame import Frame
 
 Vector = NDArray[np.float64]
@@ -136,8 +136,8 @@ def says_moved(said: Verdict, limit: Vector) -> bool:
         said: of one frame.
         limit: (6,) largest correction.
     """
-    away = (said.joint_lower > 0) | (said.joint_upper < 0)
-    return said.verdict != UNTRUSTED and bool(away.any() or (np.abs(said.correction) > limit).any())
+    beyond = bool((np.abs(said.correction) > limit).any())
+    return said.verdict == DRIFTING or (said.verdict == RECALIBRATE and beyond)
 
 
 def decalibration_of(T_assumed: Vector, T_true: Vector) -> Vector:
@@ -150,17 +150,14 @@ def decalibration_of(T_assumed: Vector, T_true: Vector) -> Vector:
     return np.asarray(matrix_to_pose(D).numpy() + 0.0)
 
 
-def exchanged(drives: list[Drive]) -> Iterator[tuple[Drive, list[Frame]]]:
-    """Every drive with the images of the next one: what no camera can have helped with.
+def exchanged(drive: Drive, other: Drive) -> list[Frame]:
+    """A drive with the images of another one: what no camera can have helped with.
 
     Args:
-        drives: at least two, equally long.
+        drive: that is to be watched.
+        other: as long.
     """
-    for drive, other in zip(drives, drives[1:] + drives[:1], strict=True):
-        yield (
-            drive,
-            [
-                replace(frame, image=elsewhere.image, events=elsewhere.events)
-                for frame, elsewhere in zip(drive.frames, other.frames, strict=True)
-            ],
-        )
+    return [
+        replace(frame, image=elsewhere.image, events=elsewhere.events)
+        for frame, elsewhere in zip(drive.frames, other.frames, strict=True)
+    ]

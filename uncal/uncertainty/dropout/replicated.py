@@ -52,6 +52,19 @@ class Replicated(Tensor):
         # cat, unlike expand + reshape, keeps channels_last.
         return torch.cat([self.source] * self.times, self.axis)
 
+    def multiplied(self, left: Tensor) -> Tensor:
+        """``torch.bmm(left, self)`` as one product per row of the source, without copies.
+
+        >>> left, right = torch.rand(6, 2, 3), torch.rand(2, 3, 4)
+        >>> lazy = torch.bmm(left, Replicated(right, times=3))
+        >>> bool((lazy - torch.bmm(left, right.repeat(3, 1, 1))).abs().max() < 1e-6)
+        True
+        """
+        batch, rows = len(self.source), left.shape[1]
+        together = left.unflatten(0, (self.times, batch)).transpose(0, 1).flatten(1, 2)
+        product = torch.bmm(together, self.source).unflatten(1, (self.times, rows))
+        return product.transpose(0, 1).flatten(0, 1)
+
     @classmethod
     def __torch_function__(
         cls,
@@ -64,6 +77,10 @@ class Replicated(Tensor):
         with torch._C.DisableTorchFunctionSubclass():
             if func in _QUESTIONS:
                 return func(*args, **(kwargs or {}))
+        if func is torch.bmm and not kwargs:
+            left, right = args
+            if isinstance(right, Replicated) and right.axis == 0:
+                return right.multiplied(_copied(left))
         return func(*_copied(args), **_copied(dict(kwargs or {})))
 
     @classmethod

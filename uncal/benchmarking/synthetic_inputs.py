@@ -9,7 +9,9 @@ from uncal.edges.sweep import COLUMNS, KIND, KINDS, SIDE
 from uncal.recordings.frame import FrameId
 
 
-def made_up(size: tuple[int, ...], batch: int, edges: int, device: torch.device) -> NetworkInput:
+def synthetic_inputs(
+    size: tuple[int, ...], batch: int, edges: int, device: torch.device
+) -> NetworkInput:
     """Noise, a tenth of the pixels with a LiDAR point, and edges ahead of the camera.
 
     Args:
@@ -37,15 +39,15 @@ def made_up(size: tuple[int, ...], batch: int, edges: int, device: torch.device)
     sweep[..., :3] = away * torch.cat([torch.ones_like(away), aside], -1)
     sweep[..., KIND] = (len(KINDS) * sweep[..., KIND]).floor()
     sweep[..., SIDE] = sweep[..., SIDE].round() * 2 - 1
-    places = torch.arange(batch, device=device)
+    indices = torch.arange(batch, device=device)
     return NetworkInput(
         x=x.to(device),
         inverse_depth=inverse_depth.to(device),
         K=K.repeat(batch, 1, 1).to(device),
         T_init=T.repeat(batch, 1, 1).to(device),
         target=torch.zeros(batch, 6, device=device),
-        place=places,
+        unit_index=indices,
         frames=[FrameId("made", "up", number) for number in range(batch)],
-        unit=places,
+        unit=indices,
         edges=sweep.to(device),
     )

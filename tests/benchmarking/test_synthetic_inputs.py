@@ -4,7 +4,7 @@ import pytest
 import torch
 from hydra import compose, initialize_config_dir
 
-from uncal.benchmarking.made_up import made_up
+from uncal.benchmarking.synthetic_inputs import synthetic_inputs
 from uncal.models.answer import Estimator
 from uncal.runs.assembly import build_module
 from uncal.settings.configuration import CONFIG_DIR
@@ -18,7 +18,7 @@ def test_a_case_asks_what_its_stochastic_passes_repeat(case: str) -> None:
     module = build_module(model).eval()
     asked = cast(Estimator, module.estimator)
     edges = 50 if case == "demo" else 0
-    inputs = made_up((64, 96), 2, edges, torch.device("cpu"))
+    inputs = synthetic_inputs((64, 96), 2, edges, torch.device("cpu"))
     assert inputs.edges.shape[:2] == (2, edges)
     with torch.no_grad():
         question = asked.question(inputs)

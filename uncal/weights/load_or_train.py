@@ -55,7 +55,7 @@ class Weights:
         )
 
 
-def obtain(
+def load_or_train(
     store: WeightStore,
     train: Callable[[Path | None], Path],
     *,
