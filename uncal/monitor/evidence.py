@@ -238,7 +238,7 @@ class EvidenceReader:
         if source is None:
             assert frame.events is not None
             source = frame.events.size
-        return self._dataset(frame).fit((source[0], source[1]), frame.K)
+        return self.dataset(frame).fit((source[0], source[1]), frame.K)
 
     def dataset(self, frame: Frame) -> FrameDataset:
         """What brings frames of this camera to the network's size.
