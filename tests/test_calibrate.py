@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
@@ -16,9 +17,11 @@ from omegaconf import OmegaConf
 
 from uncal.calibrate import with_layout
 from uncal.calibrating.guarantee import choose_interval, possible_levels, summary
-from uncal.errors import RecordingError
+from uncal.errors import ConfigurationError, RecordingError
+from uncal.geometry.decalibration import decalibrate
 from uncal.models.module import CalibrationModule
 from uncal.models.split_prediction import SplitPrediction
+from uncal.monitor.references import INSIDE, References, find_references
 from uncal.recordings.frame import FrameId
 from uncal.recordings.layout_names import layout_of
 from uncal.recordings.plain_folder import PlainFolder
@@ -27,6 +30,7 @@ from uncal.simulation.formats.bag import drive_as_bag
 from uncal.simulation.settings import SimulationSettings
 from uncal.simulation.writer import simulate
 from uncal.uncertainty import ConformalCalibrator, HierarchicalCalibrator, coverage_band
+from uncal.weights.shipped import save_shipped
 
 Run = Callable[..., "subprocess.CompletedProcess[str]"]
 
@@ -193,3 +197,46 @@ def test_export_takes_the_file(file: Path, start: Run) -> None:
     session = onnxruntime.InferenceSession(file.with_name("mine.onnx"))
     # Only the level that ten drives allow.
     assert session.get_outputs()[1].shape == [1, 6]
+
+
+@pytest.mark.slow
+def test_a_first_extrinsic_is_found_from_a_guess(own_rig: Path, start: Run) -> None:
+    folder = own_rig.parent / "guessed"
+    shutil.copytree(own_rig, folder)
+    recording = PlainFolder(own_rig)
+    T = torch.from_numpy(recording.load(recording.frame_ids[0]).T_cam_lidar)
+    off = torch.tensor([0.2, -0.15, 0.1, 0.05, -0.05, 0.06], dtype=torch.float64)
+    rig = yaml.safe_load((folder / "rig.yaml").read_text())
+    ((camera, lidars),) = rig["extrinsics"].items()
+    (lidar,) = lidars
+    rig["extrinsics"][camera][lidar] = decalibrate(T, off).tolist()
+    (folder / "rig.yaml").write_text(yaml.safe_dump(rig))
+    done = start(
+        "uncal.calibrate",
+        *("weights=unical", f"recordings={folder}", "dataset=folder", "trusted=false"),
+        *("out=first.safetensors", "guess.frames=6", "hydra.run.dir=first"),
+        cwd=own_rig.parent,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "No reference, no guarantee" in done.stdout
+    said = yaml.safe_load((own_rig.parent / "first.transform.yaml").read_text())
+    found = [said["transform"]["translation"][axis] for axis in "xyz"]
+    assert np.abs(np.array(found) - T[:3, 3].numpy()).max() < 0.1
+
+
+def test_references_travel_in_the_file_of_weights(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    error, std = rng.normal(size=(9, 2, 6)), np.ones((9, 2, 6))
+    rest = rng.normal(size=(9, 2, 3)), rng.normal(size=(9, 4)), rng.normal(size=(3, 6))
+    made = {"weights": "abc"}
+    references = References(made, "tried", [f"d{i}" for i in range(9)], error, std, *rest)
+    path = tmp_path / "mine.safetensors"
+    save_shipped({"w": torch.ones(2)}, {"seed": 0}, path, {INSIDE: references.packed()})
+    found = find_references(path, made)
+    assert found is not None
+    np.testing.assert_array_equal(found.error, error)
+    assert found.drives == references.drives
+    with pytest.raises(ConfigurationError, match="made with another estimator"):
+        find_references(path, {"weights": "xyz"})
+    save_shipped({"w": torch.ones(2)}, {"seed": 0}, path)
+    assert find_references(path, made) is None
