@@ -142,7 +142,7 @@ def fit(
         trainer.fit(module, datamodule=data, ckpt_path=start)
     except DivergenceError:
         raise
-    except torch.linalg.LinAlgError as error:
+    except torch.linalg.LinAlgError as error:  # type: ignore[attr-defined]
         # Before a loss is NaN: the solver adds a prior, so that only such numbers stop it.
         raise diverged(trainer, "the normal equations are not finite") from error
     except UncalError as error:

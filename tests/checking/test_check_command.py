@@ -96,3 +96,11 @@ def test_other_folders_are_refused_with_the_layouts(tmp_path: Path) -> None:
 def test_every_fault_has_words_of_its_own() -> None:
     kinds = {kind for kind, _ in [*kitti_faults().values(), *dsec_faults().values()]}
     assert kinds | {"unconfirmed"} == set(KINDS)
+
+
+@pytest.mark.parametrize("number", ["0", "-1", "abc", "1.5"])
+def test_a_number_of_frames_is_a_count(number: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["root", f"--frames={number}"])
+    assert ended.value.code == 2
+    assert f"{number}: expected a whole number of at least 1" in capsys.readouterr().err

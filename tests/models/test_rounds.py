@@ -406,3 +406,20 @@ def test_evidence_leads_away_from_the_start() -> None:
 def test_the_starts_covariance_is_not_deflated() -> None:
     with pytest.raises(ConfigurationError, match=r"model\.start\.inflation=0.5"):
         AlignmentEstimator(learner().last.network, RANGE.bounds, [1], LEARNING, None, 0.5)
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        ([0.2], [1.0, 0.7, 0.44], 1.0, 0.1),
+        ([0.2, 0.1, 0.0], [1.0, 0.7, 0.44], 1.0, 0.1),
+        ([0.2, 0.1, 0.5], [1.0, 0.7, 0.44], 1.0, 0.1),
+        ([0.2, 0.1, 0.04], [2.0, 0.7, 0.44], 1.0, 0.1),
+        ([0.2, 0.1, 0.04], [1.0, 0.7, 0.44], -1.0, 0.1),
+    ],
+)
+def test_what_a_scale_is_trained_with_is_checked_before_the_first_step(
+    given: tuple[list[float], list[float], float, float],
+) -> None:
+    with pytest.raises(ConfigurationError, match=r"model\.learning: .* expected 3 numbers each"):
+        LearningSettings(*given)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
+import yaml  # type: ignore[import-untyped]
 
 from uncal.errors import ConfigurationError
 from uncal.monitor.bag_source import BagSettings

@@ -13,7 +13,7 @@ from typing import cast
 
 import numpy as np
 import pytest
-from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator  # type: ignore[import-untyped]
 
 from uncal.monitor.run_folder import COLUMNS
 from uncal.monitor.verdict import VERDICTS

@@ -23,7 +23,8 @@ def seen_from(
     cos, sin = np.cos(angle), np.sin(angle)
     there = np.column_stack([moved @ [cos, sin], moved @ [-sin, cos], np.zeros(len(where))])
     delay = -np.arctan2(there[:, 1], there[:, 0]) / (2 * np.pi) * 0.1
-    return (there - delay[:, None] * (twist[:3] + np.cross(twist[3:], there))).astype(np.float32)
+    seen = there - delay[:, None] * (twist[:3] + np.cross(twist[3:], there))
+    return np.asarray(seen, np.float32)
 
 
 @pytest.mark.parametrize("speed", [-2.0, 0.0, 3.0, 14.0, 38.0])
@@ -34,7 +35,8 @@ def test_finds_the_motion_that_was(speed: float, turn: float) -> None:
     twist = np.array([speed, 0, 0, 0, 0, turn])
     first = seen_from(where, 0.0, 0.0, twist)
     second = seen_from(where, 0.1 * speed, 0.1 * turn, twist)
-    found = twist_between(first, second + rng.normal(0, 0.02, second.shape), 0.1)
+    noise = rng.normal(0, 0.02, second.shape).astype(np.float32)
+    found = twist_between(first, second + noise, 0.1)
     assert found is not None
     assert found[0] == pytest.approx(speed, abs=0.15)
     assert found[5] == pytest.approx(turn, abs=0.02)

@@ -21,7 +21,7 @@ from uncal.reporting.layout import write_whole
 from uncal.runs.checkpoint import save_weights
 from uncal.runs.saving import WholeCheckpoints
 from uncal.settings.configuration import exits_on_error
-from uncal.system.disk import disk_trouble
+from uncal.system.disk import check_writable, disk_trouble
 
 
 def full(path: object = "out/results.csv") -> OSError:
@@ -74,6 +74,22 @@ def test_what_hides_a_full_disk_is_looked_through() -> None:
     assert disk_trouble(OSError(errno.ENOENT, "x", "y")) is None
     read_only = OSError(errno.EROFS, os.strerror(errno.EROFS), "out")
     assert "out: the disk can only be read" in str(disk_trouble(read_only))
+
+
+def test_a_file_that_cannot_be_written_is_found_before_the_work(tmp_path: Path) -> None:
+    there = tmp_path / "there.onnx"
+    there.write_text("whole")
+    check_writable(there)
+    check_writable(tmp_path / "new" / "a.onnx")
+    assert there.read_text() == "whole"
+    assert list((tmp_path / "new").iterdir()) == []
+    for path, said in (
+        (tmp_path / "new", "a folder, where a file"),
+        (there / "b", "a file, where"),
+    ):
+        with pytest.raises(OSError, match=r".") as raised:
+            check_writable(path)
+        assert said in str(disk_trouble(raised.value))
 
 
 def test_what_hydra_meets_before_a_job_is_a_sentence(tmp_path: Path) -> None:

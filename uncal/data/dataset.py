@@ -196,19 +196,11 @@ class FrameDataset(Dataset[Item]):
         points = frame.points
         if frame.twist is not None:
             points = untwisted(points, frame.twist, frame.spin)
-        near = frustum_mask(
-            points[:, :3],
-            frame.T_cam_lidar,
-            K,
-            self.image_size,
-            self.decalibration.rotation,
-            self.decalibration.translation,
-        )
         return Sample(
             unit_index=unit_index,
             frame=frame.id,
             camera=camera,
-            points=torch.from_numpy(points[near]),
+            points=torch.from_numpy(self._in_view(points, frame, K)),
             edges=torch.from_numpy(self._edges(frame, K)),
             K=torch.from_numpy(K.astype(np.float32)),
             T_cam_lidar=torch.from_numpy(frame.T_cam_lidar.astype(np.float32)),
@@ -216,22 +208,31 @@ class FrameDataset(Dataset[Item]):
         )
 
     def _edges(self, frame: Frame, K: NDArray[np.float64]) -> NDArray[np.float32]:
-        """Those that some decalibration within the range can bring into the image."""
+        """Edges of the sweep, selected among those in view."""
         if self.edges == 0:
             return np.empty((0, len(COLUMNS)), np.float32)
         # Neighbours are neighbours in the sweep as it was measured.
         edges = find_edges(frame.points)
         if frame.twist is not None:
             edges = untwisted(edges, frame.twist, frame.spin)
-        near = frustum_mask(
-            edges[:, :3],
-            frame.T_cam_lidar,
-            K,
-            self.image_size,
-            self.decalibration.rotation,
-            self.decalibration.translation,
-        )
-        return select_edges(edges[near], self.edges, seed=frame.id.index)
+        edges = self._in_view(edges, frame, K)
+        return select_edges(edges, self.edges, seed=frame.id.index)
+
+    def _in_view(
+        self, points: NDArray[np.float32], frame: Frame, K: NDArray[np.float64]
+    ) -> NDArray[np.float32]:
+        """Those that some decalibration within the range can bring into the image."""
+        reach = self.decalibration
+        return points[
+            frustum_mask(
+                points[:, :3],
+                frame.T_cam_lidar,
+                K,
+                self.image_size,
+                reach.rotation,
+                reach.translation,
+            )
+        ]
 
     def _camera(self, frame: Frame) -> tuple[Tensor, NDArray[np.float64]]:
         """The camera's tensor at the network's size, and the camera matrix that goes with it."""

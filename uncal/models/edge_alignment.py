@@ -144,7 +144,7 @@ def score(strength: Tensor, edges: Tensor, weights: Tensor, K: Tensor, T: Tensor
     homogeneous = F.pad(edges[..., :3], (0, 1), value=1.0)
     places = homogeneous @ matrices[:, :, :2].flatten(1, 2).transpose(1, 2)
     depth = (homogeneous @ matrices[:, :, 2].transpose(1, 2)).clamp(min=NEAREST_M)
-    grid = places.unflatten(2, (-1, 2)) * depth.reciprocal()[..., None]
+    grid = places.reshape(*places.shape[:2], -1, 2) * depth.reciprocal()[..., None]
     found = F.grid_sample(strength, grid, padding_mode="zeros", align_corners=False)
     along = (edges[..., KIND] >= N_ACROSS).to(weights.dtype)
     of_directions = torch.stack([weights * (1.0 - along), weights * along], 1)

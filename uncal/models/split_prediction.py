@@ -53,11 +53,7 @@ class SplitPrediction:
         return cls(batch.unit_index, mean, std, batch.target, covariance, bounds)
 
     def to(self, device: torch.device | str) -> SplitPrediction:
-        """The same on another device, where ``trainer.predict`` moves what it collects.
-
-        Args:
-            device: where to.
-        """
+        """The same on another device, where ``trainer.predict`` moves what it collects."""
         moved = {
             field.name: getattr(self, field.name).to(device)
             for field in fields(self)

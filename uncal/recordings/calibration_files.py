@@ -22,6 +22,8 @@ from uncal.errors import CalibrationMissing, RecordingError, RotationError
 _ROTATION_TOLERANCE = 1e-3
 """Largest entry of R·Rᵀ - I; KITTI prints seven digits, so a larger one is a damaged file."""
 
+_RESTORE = "Restore the file from KITTI's archive."
+
 
 @dataclass(frozen=True)
 class CameraCalibration:
@@ -118,7 +120,7 @@ def odometry_calibration(path: Path, camera: int) -> CameraCalibration:
         )
     T_rect0_lidar = np.eye(4)
     T_rect0_lidar[:3] = _matrix(values, "Tr", (3, 4), path)
-    _check_rotation(T_rect0_lidar[:3, :3], "Tr", path)
+    check_rotation(T_rect0_lidar[:3, :3], "'Tr'", path, _RESTORE)
     projection = _matrix(values, f"P{camera}", (3, 4), path)
     return _from_projection(projection, T_rect0_lidar, path)
 
@@ -132,7 +134,7 @@ def _from_projection(
     if not (K[0, 0] > 0 and K[1, 1] > 0 and K[2, 2] == 1):
         raise RecordingError(
             f"{path}: the projection matrix starts with {K.tolist()}, which is no camera matrix "
-            "[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]. Restore the file from KITTI's archive."
+            "[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]. {remedy}"
         )
     T_cam_rect0 = np.eye(4)
     T_cam_rect0[:3, 3] = np.linalg.solve(K, projection[:, 3])
@@ -163,16 +165,21 @@ def _matrix(
 
 def _rotation(values: dict[str, NDArray[np.float64]], key: str, path: Path) -> NDArray[np.float64]:
     rotation = _matrix(values, key, (3, 3), path)
-    _check_rotation(rotation, key, path)
+    check_rotation(rotation, f"'{key}'", path, _RESTORE)
     return rotation
 
 
-def _check_rotation(rotation: NDArray[np.float64], key: str, path: Path) -> None:
+def check_rotation(rotation: NDArray[np.float64], name: str, path: Path, remedy: str) -> None:
+    """Make sure that a (3, 3) matrix is a rotation.
+
+    Raises:
+        RotationError: it is not; the message names file, matrix and remedy.
+    """
     defect = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
     if defect > _ROTATION_TOLERANCE or np.linalg.det(rotation) < 0:
         raise RotationError(
-            f"{path}: '{key}' is not a rotation (R·Rᵀ is off the identity by {defect:.2g}, "
-            f"det {np.linalg.det(rotation):.3f}). Restore the file from KITTI's archive."
+            f"{path}: {name} is not a rotation (R·Rᵀ is off the identity by {defect:.2g}, "
+            f"det {np.linalg.det(rotation):.3f}). {remedy}"
         )
 
 

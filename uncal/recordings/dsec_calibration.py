@@ -17,14 +17,13 @@ import numpy as np
 import yaml  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 
-from uncal.errors import CalibrationMissing, RecordingError, RotationError
-from uncal.recordings.calibration_files import CameraCalibration
+from uncal.errors import CalibrationMissing, RecordingError
+from uncal.recordings.calibration_files import CameraCalibration, check_rotation
 
 SIDES: dict[str, int] = {"left": 0, "right": 3}
 """Event camera → its number in ``cam_to_cam.yaml``."""
 
-_ROTATION_TOLERANCE = 1e-3
-"""Largest entry of R·Rᵀ - I that rounding in the file explains."""
+_RESTORE = "Restore the file from DSEC's archive."
 
 
 def event_camera_calibration(
@@ -120,7 +119,7 @@ def _resolution(cameras: object, number: int, path: Path) -> tuple[int, int] | N
 
 def _transform(content: object, keys: tuple[str, ...], path: Path) -> NDArray[np.float64]:
     T = _numbers(content, keys, (4, 4), path)
-    _check_rotation(T[:3, :3], ".".join(keys), path)
+    check_rotation(T[:3, :3], f"'{'.'.join(keys)}'", path, _RESTORE)
     if not np.array_equal(T[3], (0, 0, 0, 1)):
         raise RecordingError(
             f"{path}: the last row of '{'.'.join(keys)}' is {T[3].tolist()}, expected [0, 0, 0, 1]."
@@ -131,14 +130,5 @@ def _transform(content: object, keys: tuple[str, ...], path: Path) -> NDArray[np
 def _rectification(cameras: object, number: int, path: Path) -> NDArray[np.float64]:
     T = np.eye(4)
     T[:3, :3] = _numbers(cameras, ("extrinsics", f"R_rect{number}"), (3, 3), path)
-    _check_rotation(T[:3, :3], f"extrinsics.R_rect{number}", path)
+    check_rotation(T[:3, :3], f"'extrinsics.R_rect{number}'", path, _RESTORE)
     return T
-
-
-def _check_rotation(rotation: NDArray[np.float64], key: str, path: Path) -> None:
-    defect = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
-    if defect > _ROTATION_TOLERANCE or np.linalg.det(rotation) < 0:
-        raise RotationError(
-            f"{path}: '{key}' is not a rotation (R·Rᵀ is off the identity by {defect:.2g}, "
-            f"det {np.linalg.det(rotation):.3f}). Restore the file from DSEC's archive."
-        )

@@ -155,9 +155,6 @@ def inspect_events(path: Path, rectify_map: NDArray[np.float32]) -> EventFile:
 def read_rectify_map(path: Path) -> NDArray[np.float32]:
     """Read a ``rectify_map.h5``.
 
-    Args:
-        path: the file.
-
     Returns:
         (H, W, 2) float32: [y, x] → (x, y) of the rectified image, pixels.
 

@@ -57,9 +57,6 @@ _LETTER = re.compile(r"(.+)_[a-z]")
 def drive_of(sequence: str) -> str:
     """The drive that a sequence is a part of.
 
-    Args:
-        sequence: name of the sequence.
-
     Returns:
         The name without its letter.
 

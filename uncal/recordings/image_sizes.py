@@ -12,11 +12,7 @@ _LOOKED_AT = 25
 
 
 def png_size(path: Path) -> tuple[int, int] | None:
-    """(H, W) in pixels, as the header says; None for what is no PNG or cannot be read.
-
-    Args:
-        path: the image file.
-    """
+    """(H, W) in pixels, as the header says; None for what is no PNG or cannot be read."""
     try:
         with path.open("rb") as file:
             header = file.read(24)

@@ -14,8 +14,9 @@ import yaml  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation  # type: ignore[import-untyped]
 
-from uncal.errors import CalibrationMissing, RecordingError, RotationError
+from uncal.errors import CalibrationMissing, RecordingError
 from uncal.geometry import euler_to_matrix
+from uncal.recordings.calibration_files import check_rotation
 
 FILE = "rig.yaml"
 
@@ -24,8 +25,6 @@ UNITS: dict[str, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 
 COEFFICIENTS: dict[str, tuple[int, ...]] = {"none": (0,), "radtan": (4, 5, 8), "fisheye": (4,)}
 """Lens → number of coefficients, OpenCV's order: k1, k2, p1, p2, k3, …, or k1 to k4."""
-
-_ROTATION_TOLERANCE = 1e-3
 
 
 @dataclass(frozen=True)
@@ -208,12 +207,7 @@ def parse_transform(value: object, path: Path, where: str) -> NDArray[np.float64
             angles = torch.from_numpy(np.radians(numbers) if key == "rotation_deg" else numbers)
             T[:3, :3] = euler_to_matrix(angles).numpy()
         T[:3, 3] = _array(of["translation"], path, where, (3,)) * _unit(of, path, where)
-    defect = float(np.abs(T[:3, :3] @ T[:3, :3].T - np.eye(3)).max())
-    if defect > _ROTATION_TOLERANCE or np.linalg.det(T[:3, :3]) < 0:
-        raise RotationError(
-            f"{path}: {where} is not a rotation (R·Rᵀ is off the identity by {defect:.2g}, det "
-            f"{np.linalg.det(T[:3, :3]):.3f}). Write it row by row, with all its digits."
-        )
+    check_rotation(T[:3, :3], where, path, "Write it row by row, with all its digits.")
     return T
 
 

@@ -86,9 +86,6 @@ def has_intensity(message: PointCloud2) -> bool:
 def brightest_of(message: PointCloud2) -> float:
     """The intensity that stands for a reflectance of 1, judged by one message of a recording.
 
-    Args:
-        message: a sweep.
-
     Returns:
         :data:`BYTE`; :data:`WORD` where a value is beyond it.
 
@@ -110,9 +107,6 @@ def sweep_end(message: PointCloud2) -> float:
     last packet by default (times up to 0) and the first one on request (times from 0 on). The
     largest one is the end of the sweep either way.
 
-    Args:
-        message: a sweep.
-
     Returns:
         Seconds; 0 where the message has no such field or it does not hold seconds in a sweep.
 
@@ -131,9 +125,6 @@ def sweep_end(message: PointCloud2) -> float:
 
 def sweep_spin(message: PointCloud2) -> Spin | None:
     """When a sweep was measured, from its points' times, after the stamp of the message.
-
-    Args:
-        message: a sweep.
 
     Returns:
         ``ahead_s`` counts from the stamp. None where there are no times, or they do not fall with

@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
+from scipy.spatial import cKDTree  # type: ignore[import-untyped]
 
 from uncal.edges.sweep import KIND, find_edges
 from uncal.errors import FrameError
@@ -121,7 +121,7 @@ def vertical_edges(sweep: NDArray[np.float32]) -> NDArray[np.float32]:
     """(m, 3) places of the depth edges between azimuths of one laser."""
     edges = find_edges(sweep)
     near = np.hypot(edges[:, 0], edges[:, 1]) < _RANGE_M
-    return edges[near & (edges[:, KIND] == 0)][:, :3]
+    return np.ascontiguousarray(edges[near & (edges[:, KIND] == 0), :3], np.float32)
 
 
 def _register(

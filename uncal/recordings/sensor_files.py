@@ -20,9 +20,6 @@ _POINT_BYTES = 16
 def read_image(path: Path) -> NDArray[np.uint8]:
     """Read an image.
 
-    Args:
-        path: the image file.
-
     Returns:
         (H, W, 3) uint8 RGB. Grey is repeated over the three channels, transparency is left out,
         and of 16 bits the upper 8 are kept: full scale stays full scale. The pixels are those of

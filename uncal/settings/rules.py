@@ -176,9 +176,6 @@ class Either:
 def like(shipped: object) -> Rule | None:
     """A rule for a setting that has no other: of the kind of the shipped value.
 
-    Args:
-        shipped: that value.
-
     Returns:
         None where it says nothing: null, an empty text, a group.
 

@@ -75,9 +75,6 @@ def write_truth(settings: SimulationSettings, rig: int, drive: int, folder: Path
 def read_truth(folder: Path) -> NDArray[np.float64]:
     """What :func:`write_truth` has written.
 
-    Args:
-        folder: of a drive.
-
     Returns:
         (frames, 4, 4) T_cam_lidar.
 

@@ -61,8 +61,8 @@ class Replicated(Tensor):
         True
         """
         batch, rows = len(self.source), left.shape[1]
-        together = left.unflatten(0, (self.times, batch)).transpose(0, 1).flatten(1, 2)
-        product = torch.bmm(together, self.source).unflatten(1, (self.times, rows))
+        together = left.reshape(self.times, batch, rows, -1).transpose(0, 1).flatten(1, 2)
+        product = torch.bmm(together, self.source).reshape(batch, self.times, rows, -1)
         return product.transpose(0, 1).flatten(0, 1)
 
     @classmethod
