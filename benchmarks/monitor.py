@@ -41,10 +41,10 @@ def made_up(size: tuple[int, int], beams: int) -> Frame:
     flat = depth * np.cos(elevation)
     x, y, z = flat * np.cos(azimuth), flat * np.sin(azimuth), depth * np.sin(elevation)
     points = np.stack([x, y, z, rng.uniform(0, 1, depth.shape)], -1).reshape(-1, 4)
-    image = cv2.GaussianBlur(rng.integers(0, 256, (*size, 3), dtype=np.uint8), (0, 0), 2.0)
-    image = cv2.normalize(image, np.empty_like(image), 0, 255, cv2.NORM_MINMAX)
+    smooth = cv2.GaussianBlur(rng.integers(0, 256, (*size, 3), dtype=np.uint8), (0, 0), 2.0)
+    stretched = cv2.normalize(smooth, np.empty_like(smooth), 0, 255, cv2.NORM_MINMAX)
     K = np.array([[FOCAL_PX, 0, size[1] / 2 - 0.5], [0, FOCAL_PX, size[0] / 2 - 0.5], [0, 0, 1.0]])
-    image = np.asarray(image, np.uint8)
+    image = np.array(stretched, dtype=np.uint8)
     return Frame(FrameId("rig", "drive", 0), image, points.astype(np.float32), K, T, 0.0)
 
 

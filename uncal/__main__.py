@@ -16,7 +16,7 @@ ENTRY_POINTS: dict[str, str] = {
     "report": "runs beside the paper's tables, on one HTML page",
     "benchmark": "measure what stochastic passes cost",
     "ship": "a finished run as weights that can be passed on",
-    "simulation.bag": "a simulated drive as a ROS bag",
+    "simulation.formats.bag": "a simulated drive as a ROS bag",
     "monitor.experiment": "measure the monitor on simulated faults",
 }
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import logging
+import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
@@ -15,116 +15,63 @@ from uncal.settings.command_line import quote_arguments
 from uncal.settings.configuration import CONFIG_DIR, exits_on_error, quiet_libraries
 from uncal.settings.help_page import show_help
 
-if TYPE_CHECKING:
-    from uncal.models.module import CalibrationModule
-    from uncal.models.split_prediction import SplitPrediction
-
 log = logging.getLogger(__name__)
-
-ALL_CALIBRATE: tuple[float, float, float, float] = (0.01, 0.01, 0.97, 0.01)
-"""Shares of the trusted recordings."""
 
 
 @hydra.main(version_base="1.3", config_path=CONFIG_DIR, config_name="calibrate")
 @exits_on_error
 def main(config: DictConfig) -> None:
-    """Decalibrate trusted frames, fit the calibrator on them, and write one file.
+    """Calibrate the intervals on a trusted extrinsic, or find a first one.
 
     Args:
         config: conf/calibrate.yaml with the command line's overrides.
     """
     # Here and not above: they take seconds, which --help has no use for.
-    import lightning
-
+    from uncal.calibrating.trusted import calibrate
+    from uncal.calibrating.untrusted import find_first
     from uncal.errors import ConfigurationError
     from uncal.evaluate import chosen_weights
-    from uncal.inference.split_passes import predict_split
-    from uncal.runs.assembly import RECIPE, build_data, build_module, build_trainer
-    from uncal.runs.checkpoint import load_weights, read_recipe
-    from uncal.runs.evaluation_settings import with_settings_of
-    from uncal.settings.check import check_settings, refuse_values
-    from uncal.weights.shipped import save_shipped
+    from uncal.settings.check import check_settings
 
     quiet_libraries()
     check_settings(config)
     out = Path(config.out)
     if out.suffix != ".safetensors":
         raise ConfigurationError(f"out={out}: expected a name that ends in .safetensors")
-    path = chosen_weights(config.weights, config.ckpt)
-    words = list(HydraConfig.get().overrides.task)
+    weights = chosen_weights(config.weights, config.ckpt)
     config.dataset.root = config.recordings
-    if not any(word.startswith(("mcd.masks=", "mcd=")) for word in words):
-        config.mcd.masks = "fixed"
-        words.append("mcd.masks=fixed")
-    run = with_settings_of(config, read_recipe(path), [*words, "dataset=given"], RECIPE)
-    if not any(word.startswith("split") for word in words):
-        run.split.fractions, run.split.by = list(ALL_CALIBRATE), "frame"
-    refuse_values(run, None)
-    lightning.seed_everything(run.seed, workers=True, verbose=False)
-    module, trainer, data = build_module(run), build_trainer(run), build_data(run)
-    load_weights(module, path, calibrated=False)
-    module.eval()
-    scores = predict_split(trainer, module, data, "uncertainty_calibration")
-    frames = data.named("uncertainty_calibration")
-    module.fit_calibrator(scores, frames)
-    save_shipped(module.state_dict(), module.recipe, out)
-    for line in summary(module, scores, scores.groups(frames, "drive"), list(run.interval.levels)):
+    if config.trusted:
+        lines = calibrate(config, list(HydraConfig.get().overrides.task), weights, out)
+    else:
+        lines = find_first(config, weights, out.with_suffix(""))
+    for line in lines:
         log.info("%s", line)
-    log.info("%s", out)
 
 
-def summary(
-    module: CalibrationModule,
-    scores: SplitPrediction,
-    drives: Sequence[str],
-    levels: Sequence[float],
-) -> list[str]:
-    """What the calibration can guarantee, and what more frames would buy.
+def with_layout(words: Sequence[str]) -> list[str]:
+    """The command line with the dataset that the layout of the recordings is read by.
 
     Args:
-        module: calibrated.
-        scores: predictions that it was calibrated with.
-        drives: of each of them.
-        levels: coverage levels.
+        words: of the command line.
 
-    Returns:
-        Lines of text.
+    >>> with_layout(["recordings=ROOT", "dataset=kitti"])
+    ['recordings=ROOT', 'dataset=kitti']
     """
-    from uncal.geometry import DOF_NAMES, DOF_SCALE, DOF_UNITS
-    from uncal.uncertainty.conformal.coverage_law import coverage_band
-    from uncal.uncertainty.conformal.quantile import miscoverage, samples_needed
+    from uncal.errors import UncalError
+    from uncal.recordings.layout_names import layout_of
 
-    m = len(scores.index)
-    lines = [f"{m} frames of {len(set(drives))} drive(s)."]
-    for level in levels:
-        alpha = miscoverage(level)
-        if m < samples_needed(alpha):
-            lines.append(f"{level:.0%}: not possible; it takes {samples_needed(alpha)} frames.")
-            continue
-        bands = [(n, coverage_band(10_000, n, alpha, 0.9)) for n in (m, 4 * m)]
-        (_, now), (more, then) = bands
-        lines.append(
-            f"{level:.0%}: in 9 of 10 calibrations the coverage is {100 * now[0]:.1f}-"
-            f"{100 * now[1]:.1f}% (with {more} frames {100 * then[0]:.1f}-{100 * then[1]:.1f}%)."
-        )
-        if module.calibrator.needs_groups:
-            continue
-        found = module.calibrator.predict(scores.mean, scores.std, level, bounds=scores.bounds)
-        half = (found.upper - found.lower).mean(0) / 2
-        widths = zip(DOF_NAMES, half.tolist(), DOF_SCALE, DOF_UNITS, strict=True)
-        lines.append("  ± " + ", ".join(f"{n} {w * s:.2f} {u}" for n, w, s, u in widths))
-    lines.append(
-        "This holds for frames exchangeable with these. Frames of one drive are dependent: "
-        + (
-            "with one drive nothing is known of others."
-            if len(set(drives)) < 2
-            else "for a guarantee on new drives use interval=hierarchical."
-        )
-    )
-    return lines
+    given = dict(word.split("=", 1) for word in words if "=" in word)
+    if "dataset" in given or "recordings" not in given:
+        return list(words)
+    try:
+        layout = layout_of(Path(given["recordings"].strip("'\"")).expanduser(), "recordings")
+    except UncalError as error:
+        raise SystemExit(str(error)) from error
+    return [*words, f"dataset={layout}"]
 
 
 if __name__ == "__main__":
     show_help("calibrate.yaml")
+    sys.argv[1:] = with_layout(sys.argv[1:])
     quote_arguments()
     main()

@@ -63,11 +63,11 @@ def main(config: DictConfig) -> float:
     record.begin()
     other_data = run.dataset.name != recipe.dataset.name
     calibrated = not other_data and all(run[key] == recipe[key] for key in CALIBRATION)
-    if other_data and not run.refit:
+    if not run.refit and not calibrated:
         calibrated = True
         module.run.notes.append(
             f"Intervals as calibrated on {recipe.dataset.label} data (refit=false): nothing "
-            "guarantees their coverage here."
+            "guarantees their coverage elsewhere."
         )
     return weights_to_report(
         run,

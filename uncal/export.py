@@ -35,7 +35,7 @@ def main(config: DictConfig) -> None:
         Path(config.out),
         config.format,
         tuple(config.image_size),
-        list(config.levels),
+        None if config.levels is None else list(config.levels),
         config.mask_seed,
     )
     for path in written:

@@ -16,12 +16,12 @@ from uncal.edges.sweep import COLUMNS, find_edges
 from uncal.errors import ConfigurationError
 from uncal.exporting.edges_file import edges_source
 from uncal.exporting.graph import AlignmentGraph
-from uncal.exporting.writer import example, write_graph
+from uncal.exporting.writer import example, to_torch, write_graph
 from uncal.models.module import CalibrationModule
 from uncal.recordings.frame import FrameId
 from uncal.runs.assembly import build_module
 from uncal.runs.checkpoint import load_weights, read_recipe
-from uncal.uncertainty import ConformalCalibrator
+from uncal.uncertainty import ConformalCalibrator, HierarchicalCalibrator
 from uncal.weights.shipped import find_weights
 
 SIZE = (64, 160)
@@ -140,3 +140,30 @@ def test_onnxruntime_says_what_pytorch_says(module: CalibrationModule, tmp_path:
             wanted = graph(*arguments)
         for one, other in zip(got, wanted, strict=True):
             assert ((torch.from_numpy(one) - other).abs() / bounds).max() < 1e-4
+
+
+@pytest.mark.slow
+def test_a_saved_program_loads_again_and_says_the_same(
+    module: CalibrationModule, tmp_path: Path
+) -> None:
+    graph = make(module)
+    to_torch(graph, example(SIZE), tmp_path / "graph.pt2")
+    program = torch.export.load(tmp_path / "graph.pt2").module()
+    for edges in (10, 300):
+        arguments = example(SIZE, edges)
+        with torch.no_grad():
+            found, wanted = program(*arguments), graph(*arguments)
+        for one, other in zip(found, wanted, strict=True):
+            torch.testing.assert_close(one, other, atol=1e-6, rtol=1e-5)
+
+
+def test_a_calibrator_by_drive_is_exported(module: CalibrationModule) -> None:
+    before = module.calibrator
+    drives = [f"drive {i % 10}" for i in range(40)]
+    zeros = torch.zeros(40, 6)
+    known = HierarchicalCalibrator().fit(zeros, zeros + 1.0, torch.rand(40, 6), groups=drives)
+    module.calibrator = known
+    with torch.no_grad():
+        graph = AlignmentGraph(module, INPUTS, [0.9], module.masks)  # type: ignore[arg-type]
+    assert torch.equal(graph.quantiles[0], known.quantile(0.9))
+    module.calibrator = before

@@ -94,10 +94,12 @@ class AlignmentGraph(nn.Module):
         self.mean_rgb, self.std_rgb = inputs.rgb_mean, inputs.rgb_std
         self.spread = module.spread
         calibrator = module.calibrator
-        if calibrator.needs_bounds or calibrator.needs_groups:
+        # What the hierarchical method asks of a new group is nothing.
+        by_group = calibrator.needs_groups and calibrator.kind != "hierarchical"
+        if calibrator.needs_bounds or by_group:
             raise ConfigurationError(
                 f"interval={calibrator.kind}: its quantiles depend on the group or on the network; "
-                "calibrate with interval=conformal or interval=absolute to export"
+                "calibrate with interval=conformal, hierarchical or absolute to export"
             )
         self.calibrator = calibrator
         self.sigma_floor = float(calibrator.sigma_floor)
@@ -107,8 +109,9 @@ class AlignmentGraph(nn.Module):
             joint = joint * calibrator.scales.to(joint)
         if not (quantiles.isfinite().all() and joint.isfinite().all()):
             raise ConfigurationError(
-                f"levels={list(levels)}: {len(calibrator.scores)} calibration frames are too few "
-                "for the highest; leave it out, or calibrate on more"
+                f"levels={list(levels)}: {len(calibrator.scores)} calibration frames (or, of the "
+                "hierarchical method, their drives) are too few for the highest; leave it out, or "
+                "calibrate on more"
             )
         self.register_buffer("quantiles", quantiles.float())
         self.register_buffer("joint_quantiles", joint.float())

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import torch
 from hydra.utils import instantiate
-from torch import Tensor
+from torch import Tensor, nn
 
 from uncal.data.network_input import InputSettings
 from uncal.edges.sweep import COLUMNS
@@ -35,7 +35,7 @@ def write_graph(
     out: Path,
     format: str,
     size: tuple[int, int],
-    levels: Sequence[float],
+    levels: Sequence[float] | None,
     mask_seed: int,
 ) -> list[Path]:
     """Write the graph.
@@ -45,7 +45,7 @@ def write_graph(
         out: file to write.
         format: one of :data:`FORMATS`.
         size: (H, W) of the images, multiples of 8 pixels.
-        levels: coverage levels.
+        levels: coverage levels; None: those of the weights.
         mask_seed: of the masks, where the weights have none of their own.
 
     Returns:
@@ -66,15 +66,10 @@ def write_graph(
         raise ConfigurationError(
             f"format=onnx needs {' and '.join(missing)}: pip install 'uncal[export]'"
         )
-    if format == "torch_export":
-        raise ConfigurationError(
-            "format=torch_export: not available yet, since the saved program cannot be loaded "
-            "again; use format=onnx"
-        )
     check_writable(out)
     graph, inputs = make_graph(weights, levels, mask_seed)
     arguments = example(size)
-    to_onnx(graph, arguments, out)
+    (to_onnx if format == "onnx" else to_torch)(graph, arguments, out)
     finder = out.with_name(f"{out.stem}_edges.py")
     bounds = graph.estimator.bounds
     source = edges_source(inputs.edges, float(bounds[3]), float(bounds[0]))
@@ -105,14 +100,55 @@ def to_onnx(graph: AlignmentGraph, arguments: tuple[Tensor, ...], out: Path) -> 
         )
 
 
+class _Plain(nn.Module):
+    """A graph that answers with a plain tuple, since one with names cannot be saved.
+
+    Args:
+        predictor: the graph. An attribute called ``graph`` would clash with torch.fx's own.
+    """
+
+    def __init__(self, predictor: AlignmentGraph) -> None:
+        super().__init__()
+        self.predictor = predictor
+
+    def forward(
+        self, image: Tensor, edges: Tensor, K: Tensor, T_init: Tensor
+    ) -> tuple[Tensor, ...]:
+        """As :meth:`AlignmentGraph.forward`."""
+        return tuple(self.predictor(image, edges, K, T_init))
+
+
+def to_torch(graph: AlignmentGraph, arguments: tuple[Tensor, ...], out: Path) -> None:
+    """Write a graph as a program of ``torch.export``; the number of edges may differ.
+
+    Args:
+        graph: in evaluation mode.
+        arguments: of its forward, of the size that it is for.
+        out: the file.
+    """
+    shapes = {
+        "image": None,
+        "edges": {0: torch.export.Dim("edges", min=2)},
+        "K": None,
+        "T_init": None,
+    }
+    with torch.no_grad(), warnings.catch_warnings():
+        # Of weights that share memory, which they do not once they are saved.
+        warnings.simplefilter("ignore")
+        program = torch.export.export(
+            _Plain(graph).eval(), arguments, dynamic_shapes=shapes, strict=False
+        )
+        torch.export.save(program, out)
+
+
 def make_graph(
-    weights: Path, levels: Sequence[float], mask_seed: int
+    weights: Path, levels: Sequence[float] | None, mask_seed: int
 ) -> tuple[AlignmentGraph, InputSettings]:
     """The graph of trained weights, in evaluation mode.
 
     Args:
         weights: a checkpoint, or shipped weights.
-        levels: coverage levels.
+        levels: coverage levels; None: those of the weights.
         mask_seed: of the masks, where the weights have none of their own.
 
     Returns:
@@ -141,7 +177,8 @@ def make_graph(
     masks = FixedMasks(mask_seed) if module.masks is None else module.masks
     module.eval()
     with torch.no_grad():
-        return AlignmentGraph(module, inputs, levels, masks).eval(), inputs
+        chosen = list(recipe.interval.levels) if levels is None else levels
+        return AlignmentGraph(module, inputs, chosen, masks).eval(), inputs
 
 
 def example(size: tuple[int, int], edges: int = 64) -> tuple[Tensor, Tensor, Tensor, Tensor]:

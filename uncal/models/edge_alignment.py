@@ -38,7 +38,8 @@ class EdgeAlignment(nn.Module):
         blur_deg: width of the blur of each scale, degrees at the image's centre, coarse to fine.
         rounds: of the search at each scale.
         sharpness: log-likelihood by score, of each scale.
-        every: at each scale every so many-th edge is looked at, and counts as that many.
+        every: at each scale every so many-th edge is looked at, and counts as that many;
+            None, as in the settings of older weights: all.
 
     Raises:
         ConfigurationError: a setting is out of its range.
@@ -59,9 +60,10 @@ class EdgeAlignment(nn.Module):
         blur_deg: Sequence[float],
         rounds: Sequence[int],
         sharpness: Sequence[float],
-        every: Sequence[int],
+        every: Sequence[int] | None = None,
     ) -> None:
         super().__init__()
+        every = [1] * len(rounds) if every is None else every
         if image_edges not in IMAGE_EDGES:
             raise ConfigurationError(
                 f"model.image_edges={image_edges}: expected {' or '.join(IMAGE_EDGES)}"

@@ -57,10 +57,12 @@ class Estimate(NamedTuple):
     Attributes:
         mean: (6,) decalibration, metres and radians.
         std: (6,) σ.
+        covariance: (6, 6) with those σ.
     """
 
     mean: NDArray[np.float64]
     std: NDArray[np.float64]
+    covariance: NDArray[np.float64]
 
 
 class _Nothing:
@@ -147,7 +149,7 @@ class EvidenceReader:
             FrameError: there is no image, or it cannot be brought to the network's size.
         """
         assumed = replace(frame, T_cam_lidar=T_assumed)
-        return self._dataset(frame).sample(assumed, 0, torch.zeros(6))
+        return self.dataset(frame).sample(assumed, 0, torch.zeros(6))
 
     def read(self, sample: Sample) -> Evidence:
         """The evidence of a frame: work for the device.
@@ -209,9 +211,9 @@ class EvidenceReader:
         covariance = AlignmentEstimator.solve(equations.mean(0)[None], zero).covariance
         bounds = self.range.bounds.to(equations)
         answer = Answer(poses * bounds, covariance * bounds[:, None] * bounds)
-        std, _ = spread_of(answer, self.module.spread)
-        mean = answer.samples.mean(0)
-        return Estimate(mean[0].double().cpu().numpy(), std[0].double().cpu().numpy())
+        std, of_error = spread_of(answer, self.module.spread)
+        found = answer.samples.mean(0), std, of_error
+        return Estimate(*(value[0].double().cpu().numpy() for value in found))
 
     def rebase(self, equations: Tensor, step: NDArray[np.float64]) -> Tensor:
         """The same evidence about an extrinsic that a decalibration has been taken out of.
@@ -236,10 +238,17 @@ class EvidenceReader:
         if source is None:
             assert frame.events is not None
             source = frame.events.size
-        return self._dataset(frame).fit((source[0], source[1]), frame.K)
+        return self.dataset(frame).fit((source[0], source[1]), frame.K)
 
-    def _dataset(self, frame: Frame) -> FrameDataset:
-        """With the size that frames of this camera are brought to."""
+    def dataset(self, frame: Frame) -> FrameDataset:
+        """What brings frames of this camera to the network's size.
+
+        Args:
+            frame: one of them.
+
+        Raises:
+            FrameError: it has neither an image nor events.
+        """
         if frame.image is not None:
             source = (frame.image.shape[0], frame.image.shape[1])
         elif frame.events is not None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from statistics import NormalDist
 
 import numpy as np
 import torch
@@ -14,13 +15,14 @@ from uncal.geometry.transforms import matrix_to_pose
 from uncal.monitor.adaptive import Quantiles, make_quantiles, scores_of
 from uncal.monitor.decision import Interval, decide
 from uncal.monitor.evidence import Estimate, Evidence, EvidenceReader
-from uncal.monitor.extrinsic import Change, ExtrinsicInUse
+from uncal.monitor.extrinsic import Change, ExtrinsicInUse, after_step
 from uncal.monitor.martingale import ExchangeabilityMartingale
 from uncal.monitor.pairing import PairingCheck
 from uncal.monitor.references import (
     FLOOR,
     SIMULATED,
     References,
+    find_references,
     fingerprint,
     references_beside,
 )
@@ -29,6 +31,7 @@ from uncal.monitor.statistics import WINDOWED, SensorCheck
 from uncal.monitor.verdict import UNTRUSTED, Verdict
 from uncal.monitor.window import RECENT, Window
 from uncal.recordings.frame import Frame, FrameId
+from uncal.recordings.static_transform import StaticTransform
 from uncal.uncertainty.conformal.calibrator import IntervalCalibrator
 from uncal.weights.shipped import find_weights
 
@@ -182,6 +185,28 @@ class Monitor:
         self.window.clear()
         return self.extrinsic
 
+    def static_transform(self) -> StaticTransform | None:
+        """The extrinsic as it is estimated now, for ROS; None without evidence.
+
+        The covariance has the solver's correlations, and the size that the intervals say: a normal
+        law with such intervals at their level.
+        """
+        n = len(self.window)
+        if n == 0:
+            return None
+        prior = None if self.references else self.window.entries[-1].evidence.prior
+        estimate = self.reader.solve(self.window.total(), prior)
+        half = self.quantiles.of(n)[:6]
+        if not np.isfinite(half).all():
+            return None
+        scale = half / NormalDist().inv_cdf((1 + self.settings.level) / 2)
+        about = (
+            f"Estimate of uncal.monitor at the last of {n} frame(s) of {self.rig}/{self.drive}; "
+            f"covariance of a normal law with its {self.settings.level:.0%} intervals."
+        )
+        T = after_step(self.extrinsic, estimate.mean)
+        return StaticTransform(T, estimate.covariance * np.outer(scale, scale), about)
+
     @property
     def _extrinsic(self) -> ExtrinsicInUse:
         if self.in_use is None:
@@ -236,9 +261,10 @@ class Monitor:
         made_with = fingerprint(self.reader, settings)
         if given is not None:
             return References.load(Path(given), made_with)
+        found = find_references(weights, made_with)
+        if found is not None:
+            return found
         beside = references_beside(weights)
-        if beside.is_file():
-            return References.load(beside, made_with)
         self.notes.append(
             f"No references ({beside} is not there): window=1, intervals of single frames as the "
             "weights were calibrated, and nothing says when inputs are unlike those. "

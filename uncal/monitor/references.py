@@ -7,6 +7,7 @@ what the frames look like. Intervals come from those errors, never from σ/√n.
 
 from __future__ import annotations
 
+import io
 import json
 import logging
 import math
@@ -29,8 +30,9 @@ from uncal.recordings.frame import Frame, FrameId, Recording
 from uncal.reporting.layout import replaced_whole
 from uncal.system.progress import watched
 from uncal.uncertainty.conformal.hierarchical import HierarchicalCalibrator
-from uncal.uncertainty.conformal.quantile import samples_needed
+from uncal.uncertainty.conformal.quantile import miscoverage, samples_needed
 from uncal.uncertainty.conformal.split_conformal import ConformalCalibrator
+from uncal.weights.shipped import load_shipped
 
 log = logging.getLogger(__name__)
 
@@ -38,6 +40,9 @@ Vector = NDArray[np.float64]
 
 SIMULATED = "simulated: "
 """How the label of references begins that no real sensor recorded."""
+
+INSIDE = "monitor.references"
+"""Name of the tensor of references in a file of weights."""
 
 FLOOR = 1e-6
 """Smallest σ to divide by, metres and radians."""
@@ -112,7 +117,7 @@ class References:
             ConfigurationError: names how many are needed.
         """
         n = self.count(exchangeable)
-        needed = samples_needed(1 - level)
+        needed = samples_needed(miscoverage(level))
         if n < needed:
             hint = (
                 ", or set exchangeable=window, which promises coverage on drives like these only"
@@ -150,33 +155,43 @@ class References:
             path: ending in .npz.
         """
         path.parent.mkdir(parents=True, exist_ok=True)
-        about = json.dumps({"made_with": self.made_with, "label": self.label})
-        with replaced_whole(path) as partial, partial.open("wb") as file:
-            np.savez_compressed(
-                file,
-                about=np.array(about),
-                drives=np.array(self.drives),
-                error=self.error,
-                std=self.std,
-                frames=self.frames,
-                windows=self.windows,
-                jumps=self.jumps,
-            )
+        with replaced_whole(path) as partial:
+            partial.write_bytes(self._bytes())
         return path
+
+    def packed(self) -> torch.Tensor:
+        """The same file as a tensor of bytes, for a file of weights; see :data:`INSIDE`."""
+        return torch.frombuffer(bytearray(self._bytes()), dtype=torch.uint8)
+
+    def _bytes(self) -> bytes:
+        about = json.dumps({"made_with": self.made_with, "label": self.label})
+        file = io.BytesIO()
+        np.savez_compressed(
+            file,
+            about=np.array(about),
+            drives=np.array(self.drives),
+            error=self.error,
+            std=self.std,
+            frames=self.frames,
+            windows=self.windows,
+            jumps=self.jumps,
+        )
+        return file.getvalue()
 
     @classmethod
     def load(cls, path: Path, made_with: dict[str, object]) -> References:
         """Read them.
 
         Args:
-            path: of :meth:`save`.
+            path: of :meth:`save`, or a file of weights that holds them.
             made_with: fingerprint of the estimator that they are for.
 
         Raises:
             ConfigurationError: no such file, a damaged one, or one of another estimator.
         """
         try:
-            with np.load(path, allow_pickle=False) as file:
+            source = io.BytesIO(_inside(path)) if path.suffix == ".safetensors" else path
+            with np.load(source, allow_pickle=False) as file:
                 about = json.loads(str(file["about"]))
                 found = cls(
                     about["made_with"],
@@ -206,6 +221,31 @@ class References:
                 "same settings, or make them anew with calibrate=FOLDER"
             )
         return found
+
+
+def find_references(weights: Path, made_with: dict[str, object]) -> References | None:
+    """Those beside a file of weights, or within it, as ``uncal.calibrate`` writes them.
+
+    Args:
+        weights: their file.
+        made_with: fingerprint of the estimator that they are for.
+
+    Returns:
+        None if there are none.
+
+    Raises:
+        ConfigurationError: they are damaged, or of another estimator.
+    """
+    beside = references_beside(weights)
+    if beside.is_file():
+        return References.load(beside, made_with)
+    if weights.suffix == ".safetensors" and INSIDE in load_shipped(weights)[0]:
+        return References.load(weights, made_with)
+    return None
+
+
+def _inside(weights: Path) -> bytes:
+    return load_shipped(weights)[0][INSIDE].numpy().tobytes()
 
 
 def references_beside(weights: Path) -> Path:

@@ -139,7 +139,9 @@ def watch(config: DictConfig, folder: Path) -> str:
     if loop.changes:
         lines.append(f"The extrinsic in use was changed {loop.changes} time(s).")
     lines.append(loop.shares())
-    lines.append(f"{folder / LINES} and {TABLE}")
+    transform = monitor.static_transform()
+    files = [] if transform is None else transform.write(folder / "estimate")
+    lines.append(f"{folder / LINES}, {', '.join([TABLE, *(path.name for path in files)])}")
     return "\n".join(filter(None, lines))
 
 

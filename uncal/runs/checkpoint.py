@@ -15,8 +15,8 @@ from uncal.models.module import CalibrationModule
 from uncal.runs.saving import save_whole
 from uncal.weights.shipped import load_checkpoint, load_shipped
 
-OWN: tuple[str, ...] = ("calibrator.", "ellipsoid.", "masks.")
-"""Parts of the state that belong to the calibration, not to the weights."""
+OWN: tuple[str, ...] = ("calibrator.", "ellipsoid.", "masks.", "monitor.")
+"""Parts of the state that belong to the calibration (or to the monitor), not to the weights."""
 
 
 def load_weights(module: CalibrationModule, path: Path, calibrated: bool) -> None:

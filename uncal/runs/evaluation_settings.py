@@ -13,6 +13,9 @@ OWN: tuple[str, ...] = ("weights", "ckpt", "refit", "store", "trainer", "callbac
 NOTHING_TRAINS: tuple[float, float, float, float] = (0.01, 0.01, 0.58, 0.40)
 """Shares of new recordings: all that can be calibrates the uncertainty and tests."""
 
+ALL_TEST: tuple[float, float, float, float] = (0.01, 0.01, 0.01, 0.97)
+"""The same with ``refit=false``."""
+
 
 def with_settings_of(
     config: DictConfig, recipe: DictConfig, overrides: Sequence[str], kept: Sequence[str]
@@ -42,7 +45,8 @@ def with_settings_of(
             if "dataset.image_size" not in asked:
                 run.dataset.image_size = None
             if "split.fractions" not in asked and "split" not in groups:
-                run.split.fractions = list(NOTHING_TRAINS)
+                kept_as_it_is = config.get("refit", True) is False
+                run.split.fractions = list(ALL_TEST if kept_as_it_is else NOTHING_TRAINS)
         elif "dataset.root" in asked and "recording" in run.dataset:
             run.dataset.recording.root = run.dataset.root
         if "dataset.loader.workers" in asked and not other_data:

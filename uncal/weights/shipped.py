@@ -42,10 +42,25 @@ def find_weights(name: str) -> Path:
     )
 
 
-def save_shipped(state: dict[str, Tensor], recipe: dict[str, object], path: Path) -> None:
-    """Write weights, calibrator and settings as one file without pickles."""
+def save_shipped(
+    state: dict[str, Tensor],
+    recipe: dict[str, object],
+    path: Path,
+    beside: dict[str, Tensor] | None = None,
+) -> None:
+    """Write weights, calibrator and settings as one file without pickles.
+
+    Args:
+        state: of the module.
+        recipe: of the module.
+        path: the file.
+        beside: further tensors that no module has, such as the monitor's references.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
-    tensors = {name: value.detach().cpu().contiguous().clone() for name, value in state.items()}
+    everything = state | (beside or {})
+    tensors = {
+        name: value.detach().cpu().contiguous().clone() for name, value in everything.items()
+    }
     save_file(tensors, path, metadata={"uncal_recipe": json.dumps(recipe)})
 
 
