@@ -139,6 +139,33 @@ def test_a_recipe_of_an_earlier_checkpoint_still_splits() -> None:
     assert split.frames == split_frames(FRAMES, "rig", PAPER, 3)
 
 
+def test_named_drives_test_and_the_others_share_the_rest() -> None:
+    settings = SplitSettings("frame", (0.5, 0.0, 0.5, 0.0), 0, test_drives=["*1"])
+    split = settings.split(FRAMES)
+    assert {frame.drive for frame in split.frames["test"]} == {"drive1"}
+    assert len(split.frames["test"]) == len(FRAMES) // 2
+    assert {frame.drive for name in SPLITS[:3] for frame in split.frames[name]} == {"drive0"}
+    assert [len(split.frames[name]) for name in SPLITS[:3]] == [120, 0, 120]
+    assert "20 drive(s) test because split.test_drives names them" in split.note
+    # The test's share does not count.
+    assert replace(settings, fractions=(0.3, 0.0, 0.3, 0.4)).split(FRAMES) == split
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"test_drives": ["*_2"]}, r"no drive matches \*_2; there are drive0, drive1"),
+        ({"test_drives": []}, "names 0 of 2"),
+        ({"test_drives": ["drive*"]}, "names 2 of 2"),
+        ({"test_drives": ["*1"], "fractions": (0.0, 0.0, 0.0, 1.0)}, "above 0"),
+        ({"test_drives": ["*1"], "unseen_rigs": 0.2}, "choose one of them"),
+    ],
+)
+def test_test_drives_that_cannot_be(wrong: dict[str, object], message: str) -> None:
+    with pytest.raises(ConfigurationError, match=message):
+        replace(SplitSettings("frame", PAPER, 0), **wrong).split(FRAMES)  # type: ignore[arg-type]
+
+
 def test_the_configuration_splits_as_the_paper_and_offers_every_setting() -> None:
     with initialize_config_dir(CONFIG_DIR, version_base="1.3"):
         config = compose("train", ["dataset=kitti"])

@@ -4,10 +4,47 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from fnmatch import fnmatchcase
 
 from uncal.errors import ConfigurationError
 from uncal.recordings.frame import FrameId
 from uncal.splits.splits import by_name, seeded_hash
+
+
+def hold_out_drives(
+    frame_ids: Sequence[FrameId], patterns: Sequence[str]
+) -> tuple[list[FrameId], list[FrameId]]:
+    """Drives chosen by name, and the others.
+
+    Args:
+        frame_ids: all frames.
+        patterns: names or shell patterns of drives.
+
+    Returns:
+        The frames of the chosen drives, by name, and the others in their order.
+
+    Raises:
+        ConfigurationError: a pattern matches no drive, or no other drive remains.
+
+    >>> frames = [FrameId("rig", f"drive_{i}", 0) for i in range(3)]
+    >>> [len(part) for part in hold_out_drives(frames, ["*_2"])]
+    [1, 2]
+    """
+    drives = sorted({frame_id.drive for frame_id in frame_ids})
+    for pattern in patterns:
+        if not any(fnmatchcase(drive, pattern) for drive in drives):
+            raise ConfigurationError(
+                f"split.test_drives: no drive matches {pattern}; there are {', '.join(drives[:5])}"
+                + (f" and {len(drives) - 5} more" if len(drives) > 5 else "")
+            )
+    chosen = {drive for drive in drives for pattern in patterns if fnmatchcase(drive, pattern)}
+    others = [frame_id for frame_id in frame_ids if frame_id.drive not in chosen]
+    if not others or not chosen:
+        raise ConfigurationError(
+            f"split.test_drives={list(patterns)} names {len(chosen)} of {len(drives)} drive(s): "
+            "expected at least one, and others to calibrate on"
+        )
+    return sorted((f for f in frame_ids if f.drive in chosen), key=by_name), others
 
 
 def hold_out_rigs(

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from uncal.errors import ConfigurationError
 from uncal.recordings.frame import FrameId
 from uncal.splits.blocks import blocks, leave_gaps
-from uncal.splits.held_out import cap_training, hold_out_rigs
+from uncal.splits.held_out import cap_training, hold_out_drives, hold_out_rigs
 from uncal.splits.sequence_split import FrameSplit, OfficialSettings, split_officially
 from uncal.splits.splits import split_frames
 
@@ -33,6 +33,8 @@ class SplitSettings:
         unseen_rigs: share of the rigs that is held out before anything is split.
         test: ``own``, the split's own test part, or ``unseen``, all frames of the held-out rigs.
         train_frames: exactly so many of the training frames; None: all.
+        test_drives: names or shell patterns of the drives that test; the others are split by
+            ``fractions``, of which that of the test does not count. None: none.
     """
 
     by: str
@@ -44,6 +46,7 @@ class SplitSettings:
     unseen_rigs: float = 0.0
     test: str = "own"
     train_frames: int | None = None
+    test_drives: Sequence[str] | None = None
 
     def split(self, frame_ids: Sequence[FrameId], window: int = 1) -> FrameSplit:
         """Share frames out.
@@ -60,6 +63,8 @@ class SplitSettings:
             ConfigurationError: a setting is out of range or does not fit these frames.
         """
         self._check()
+        if self.test_drives is not None:
+            return self._with_test_drives(frame_ids, self.test_drives, window)
         kept, held_out = hold_out_rigs(frame_ids, self.unseen_rigs, self.seed)
         try:
             shared = self._share_out(kept, window)
@@ -84,7 +89,30 @@ class SplitSettings:
             notes.append(self._unseen_note(frames, held_out))
         return FrameSplit(frames, " ".join(notes))
 
+    def _with_test_drives(
+        self, frame_ids: Sequence[FrameId], patterns: Sequence[str], window: int
+    ) -> FrameSplit:
+        tested, others = hold_out_drives(frame_ids, patterns)
+        *shares, _ = self.fractions
+        if not sum(shares) > 0:
+            raise ConfigurationError(
+                f"split.fractions={list(self.fractions)}: with split.test_drives the first three "
+                "share out the other drives; at least one must be above 0"
+            )
+        train, validation, calibration = (share / sum(shares) for share in shares)
+        rest = replace(
+            self, test_drives=None, fractions=(train, validation, calibration, 0.0)
+        ).split(others, window)
+        drives = len({(frame_id.rig, frame_id.drive) for frame_id in tested})
+        note = f"{drives} drive(s) test because split.test_drives names them. {rest.note}"
+        return FrameSplit({**rest.frames, "test": tested}, note.strip())
+
     def _check(self) -> None:
+        if self.test_drives is not None and (self.by == "official" or self.unseen_rigs != 0):
+            raise ConfigurationError(
+                "split.test_drives says which drives test; so do split.by=official and "
+                "split.unseen_rigs: choose one of them"
+            )
         if self.test not in TESTERS:
             raise ConfigurationError(
                 f"split.test={self.test}: expected own (the split's own test part) or unseen (the "
