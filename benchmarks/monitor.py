@@ -45,7 +45,8 @@ def made_up(size: tuple[int, int], beams: int) -> Frame:
     image = cv2.normalize(image, np.empty_like(image), 0, 255, cv2.NORM_MINMAX)
     K = np.array([[FOCAL_PX, 0, size[1] / 2 - 0.5], [0, FOCAL_PX, size[0] / 2 - 0.5], [0, 0, 1.0]])
     image = np.asarray(image, np.uint8)
-    return Frame(FrameId("rig", "drive", 0), image, points.astype(np.float32), K, T, 0.0)
+    pixels = np.asarray(image, np.uint8)
+    return Frame(FrameId("rig", "drive", 0), pixels, points.astype(np.float32), K, T, 0.0)
 
 
 def stream(frame: Frame, count: int, memory: list[tuple[int, float]]) -> Iterator[Frame]:
