@@ -28,7 +28,7 @@ from uncal.monitor.references import (
 )
 from uncal.monitor.settings import MonitorSettings
 from uncal.monitor.statistics import WINDOWED, SensorCheck
-from uncal.monitor.verdict import UNTRUSTED, Verdict
+from uncal.monitor.verdict import OK, UNTRUSTED, Verdict
 from uncal.monitor.window import RECENT, Window
 from uncal.recordings.frame import Frame, FrameId
 from uncal.recordings.static_transform import StaticTransform
@@ -310,7 +310,8 @@ class Monitor:
             self.settings.window,
         )
         full = n == self.settings.window
-        trusted = verdict != UNTRUSTED and self.window.trusted and full
+        # Not on what is no drift: a region may exclude zero and still come next to it.
+        trusted = verdict not in (OK, UNTRUSTED) and self.window.trusted and full
         step = None
         if self.in_use is not None:
             step = self.in_use.consider(name, drift, trusted)
