@@ -184,11 +184,14 @@ def _between(config: DictConfig) -> Iterator[str]:
         )
     fractions = _resolved(config, "split.fractions")
     if isinstance(fractions, list) and len(fractions) == 4:
-        used = fractions[:3] if _resolved(config, "split.test") == "unseen" else fractions
+        others_test = _resolved(config, "split.test") == "unseen"
+        others_test = others_test or _resolved(config, "split.test_drives") is not None
+        used = fractions[:3] if others_test else fractions
         if any(fraction == 0 for fraction in used):
             yield (
                 f"split.fractions={fractions}: training, validation, uncertainty calibration and "
-                "test each need a share above 0 (the test none with split.test=unseen)"
+                "test each need a share above 0 (the test none with split.test=unseen or "
+                "split.test_drives)"
             )
 
 
