@@ -81,13 +81,16 @@ class Monitor:
             self.references.check_level(settings.level, settings.exchangeable)
             calibrators = list(self.references.calibrators(settings.exchangeable))
             settings = self._within_reach(settings, self.references)
-            if self.references.label.startswith(SIMULATED):
-                self.notes.append(
-                    "The references are of simulated rigs: on real frames intervals are too narrow "
-                    "and drifts may be found where there are none. python -m uncal.monitor "
-                    "calibrate=FOLDER makes references from recordings with trusted extrinsics; "
-                    "until then update.apply=false only watches."
-                )
+        simulated = self.references is None or self.references.label.startswith(SIMULATED)
+        if settings.update.apply is None:
+            settings = replace(settings, update=replace(settings.update, apply=not simulated))
+        if self.references is not None and simulated:
+            self.notes.append(
+                "The references are of simulated rigs: on real frames intervals are too narrow and "
+                "drifts may be found where there are none. python -m uncal.monitor "
+                "calibrate=FOLDER makes references from recordings with trusted extrinsics; until "
+                "then the extrinsic in use moves only with update.apply=true."
+            )
         self.settings = settings
         self.quantiles: Quantiles = make_quantiles(settings.adapt, calibrators, settings.level)
         self.drift = make_quantiles(settings.adapt, calibrators, settings.drift.level)

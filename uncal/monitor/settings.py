@@ -118,13 +118,13 @@ class UpdateSettings:
     """When and how far the extrinsic in use moves.
 
     Attributes:
-        apply: whether it moves at all.
+        apply: whether it moves at all; None: only with references of real recordings.
         confirmations: frames in a row whose joint region must exclude zero.
         step_cm: largest step of a translation.
         step_deg: of a rotation.
     """
 
-    apply: bool
+    apply: bool | None
     confirmations: int
     step_cm: float
     step_deg: float
