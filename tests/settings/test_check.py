@@ -94,6 +94,7 @@ def test_all_faults_are_named_at_once_with_value_and_what_was_expected(
         (["callbacks=null"], "callbacks=null: expected a group"),
         (["split.fractions=[0.7,0.2,0.1,0.0]"], "each need a share above 0"),
         (["split=null"], "split=null: expected a group"),
+        (["dataset.simulation=null"], "dataset.simulation=null: expected a group"),
         (["mcd.passes=null"], "mcd.passes=null: expected a whole number"),
         (["mcd.passes=${nowhere}"], "mcd.passes: Interpolation key 'nowhere' not found"),
         (["dataset.recording.camera=5"], "KittiRaw expects str"),

@@ -128,7 +128,7 @@ def to_torch(graph: AlignmentGraph, arguments: tuple[Tensor, ...], out: Path) ->
     """
     shapes = {
         "image": None,
-        "edges": {0: torch.export.Dim("edges", min=2)},
+        "edges": {0: torch.export.Dim("edges", min=5)},
         "K": None,
         "T_init": None,
     }

@@ -28,8 +28,8 @@ NULLABLE: tuple[str, ...] = ("logger", "model.start")
 """Groups that a run can do without, beside those that are one of several by name."""
 
 _OF_HYDRA = re.compile(r"\$\{(hydra|now):")
-_ITS_OWN = re.compile(r"(^|\.)simulation(\.|$)")
-"""Groups whose classes check each key themselves."""
+_ITS_OWN = re.compile(r"(^|\.)simulation\.")
+"""Keys that the classes of their group check themselves."""
 
 
 def check_settings(config: DictConfig) -> None:
