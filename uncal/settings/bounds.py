@@ -94,6 +94,7 @@ BOUNDS: Mapping[str, Rule] = {
     "dataset.loader.workers": Number(0, 256, whole=True),
     "split.by": Words("frame", "block", "drive", "rig", "official"),
     "split.fractions": Listed(SHARE, 4, total=1),
+    "split.test_drives": Either(Listed(Text()), None),
     "split.official.fractions": Listed(Number(0, 1, above=True, below=True), 3, total=1),
     "split.official.held_out": LEVEL,
     "split.block_frames": COUNT,

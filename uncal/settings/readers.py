@@ -58,7 +58,7 @@ def _unread(
             below = known[key]
             if isinstance(value, Mapping):
                 yield from _below(value, below, here, referred)
-        elif of_target or _is_referred(here, referred):
+        elif of_target or _is_referred(here, referred, of_group=takes is None or takes == ALL):
             if isinstance(value, Mapping):
                 yield from _below(value, None, here, referred)
         elif named and isinstance(value, Mapping):
@@ -131,10 +131,13 @@ def _referred(node: object) -> Iterator[str]:
         yield from _INTERPOLATION.findall(node)
 
 
-def _is_referred(path: str, referred: Iterable[str]) -> bool:
-    """Whether a key, a part of it or the group it is in is referred to."""
+def _is_referred(path: str, referred: Iterable[str], of_group: bool) -> bool:
+    """Whether a key or a part of it is referred to; ``of_group``: or the group it is in."""
     dotted = f"{path}."
-    return any(f"{name}.".startswith(dotted) or dotted.startswith(f"{name}.") for name in referred)
+    return any(
+        f"{name}.".startswith(dotted) or (of_group and dotted.startswith(f"{name}."))
+        for name in referred
+    )
 
 
 def _leaves(node: Tree, path: str = "") -> Iterator[tuple[str, object]]:
