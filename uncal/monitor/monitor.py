@@ -50,7 +50,7 @@ class Monitor:
         device: where the network runs; ``auto``: a GPU if there is one.
 
     Attributes:
-        settings: as they are used; ``window`` is 1 without references, and ``update.apply`` decided.
+        settings: as used; ``window`` is 1 without references, and ``update.apply`` is decided.
         notes: sentences that a user must know.
 
     Raises:
