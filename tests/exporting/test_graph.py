@@ -79,6 +79,19 @@ def test_predicts_what_the_module_predicts(module: CalibrationModule, spread: st
     module.spread = "solver"
 
 
+def test_looks_as_far_as_the_module_looks(
+    module: CalibrationModule, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    arguments = example(SIZE, edges=200)
+    with torch.no_grad():
+        before = make(module)(*arguments).mean
+        monkeypatch.setattr(module.estimator, "reaches", (0.5, 0.1))
+        found = make(module)(*arguments).mean
+    wanted = module.stochastic(as_batch(*arguments), "test").mean[0]
+    assert ((found - wanted).abs() / module.estimator.bounds).max() < 1e-4
+    assert ((found - before).abs() / module.estimator.bounds).max() > 1e-3
+
+
 def test_too_few_frames_for_a_level_are_named(module: CalibrationModule) -> None:
     before = module.calibrator
     ones = torch.ones(20, 6)

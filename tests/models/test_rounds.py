@@ -154,15 +154,44 @@ def test_finer_rounds_come_nearer() -> None:
     batch, subject = batch_of(4), truthful(4)
     errors = []
     for many in (1, 2, 6):
-        state = subject.align(batch, subject.rounds[:many])
+        state = subject.align(batch, many)
         errors.append((state.pose - batch.target / RANGE.bounds).abs().mean().item())
     assert errors[0] > errors[1] > errors[2]
+
+
+class Overconfident(Truthful):
+    """Coarse curves that are sure of a place far from the true one, as what frames share is."""
+
+    def curves(
+        self, read: Tensor, edges: Tensor, K: Tensor, projected: ProjectedEdges, level: int
+    ) -> tuple[Tensor, Tensor]:
+        curves, weights = super().curves(read, edges, K, projected, level)
+        return (curves.roll(2, -1), weights) if level == 0 else (curves, weights)
+
+
+def test_a_reach_leads_back_from_where_coarse_rounds_were_surely_wrong() -> None:
+    batch = batch_of(6)
+    errors = []
+    for reaches in (None, [1.0, 0.6, 0.3]):
+        network: EvidenceNetwork = Overconfident(0.3, 6)  # type: ignore[assignment]
+        made = AlignmentEstimator(network, RANGE.bounds, [4, 1, 1], LEARNING, reaches=reaches)
+        nn.init.constant_(made.last.log_blur, -3.0)
+        nn.init.zeros_(made.last.log_share)
+        errors.append(((made.pose(batch) - batch.target) / RANGE.bounds).abs().mean().item())
+    assert errors[1] < 0.5 * errors[0]
+
+
+@pytest.mark.parametrize("reaches", [[1.0, 0.5], [1.0, 0.5, 0.0], [1.5, 0.5, 0.2]])
+def test_reaches_must_fit_the_rounds(reaches: list[float]) -> None:
+    network = learner().last.network
+    with pytest.raises(ConfigurationError, match=r"model\.reaches=.* for each of model\.rounds"):
+        AlignmentEstimator(network, RANGE.bounds, [4, 2, 1], LEARNING, reaches=reaches)
 
 
 def test_without_edges_the_prior_answers() -> None:
     batch = batch_of(2)
     batch = batch._replace(edges=torch.full_like(batch.edges, torch.nan))
-    state = truthful(2).align(batch, [0, 1, 2])
+    state = truthful(2).align(batch, 3)
     assert (state.pose == 0).all()
     torch.testing.assert_close(state.covariance, (torch.eye(6) / PRIOR).expand(2, 6, 6))
 
@@ -220,7 +249,7 @@ def test_the_answer_is_in_metres_and_radians() -> None:
     answer = subject.answer(torch.stack([output, output]), batch, question)
     torch.testing.assert_close(answer.samples[0], subject.pose(batch), rtol=1e-4, atol=1e-7)
     assert answer.covariance is not None
-    state = subject.align(batch, subject.rounds)
+    state = subject.align(batch, len(subject.rounds))
     expected = state.covariance * RANGE.bounds[:, None] * RANGE.bounds
     torch.testing.assert_close(answer.covariance, expected, rtol=1e-3, atol=1e-12)
 
@@ -385,7 +414,7 @@ def test_without_evidence_the_estimate_is_the_start() -> None:
     start: EdgeAlignmentEstimator = Elsewhere()  # type: ignore[assignment]
     made = AlignmentEstimator(network, RANGE.bounds, [1, 1], LEARNING, start, start_inflation=2.0)
     batch = batch_of(2)
-    state = made.align(batch._replace(edges=batch.edges * float("nan")), made.rounds)
+    state = made.align(batch._replace(edges=batch.edges * float("nan")), len(made.rounds))
     torch.testing.assert_close(state.pose, torch.linspace(-0.5, 0.5, 6).expand(2, 6))
     torch.testing.assert_close(state.covariance, 0.18 * torch.eye(6).expand(2, 6, 6))
 

@@ -147,12 +147,14 @@ class AlignmentGraph(nn.Module):
         maps = last.network.describe(x)
         pose, covariance, precision = self.begin(x, edges, K, T_init)
         before = pose
-        for level in self.estimator.rounds[:-1]:
+        before_last = len(self.estimator.rounds) - 1
+        for number, level in enumerate(self.estimator.rounds[:-1]):
             T = correct(T_init, pose * last.bounds)
             projected = project_edges(edges, K, T, size, last.bounds)
             read = last.network.read(maps, projected, level)
             curves, weights = last.network.curves(read, edges, K, projected, level)
-            normal, right = last.equations(curves, weights, projected, covariance, level)
+            around = self.estimator.around(number, covariance)
+            normal, right = last.equations(curves, weights, projected, around, level)
             pose, covariance = solve(normal, right, pose, before, precision)
         T = correct(T_init, pose * last.bounds)
         projected = project_edges(edges, K, T, size, last.bounds)
@@ -160,7 +162,8 @@ class AlignmentGraph(nn.Module):
         curves, weights = self.random_curves(
             last.network.read(maps, projected, level), edges, K, projected
         )
-        normal, right = last.equations(curves, weights, projected, covariance, level)
+        around = self.estimator.around(before_last, covariance)
+        normal, right = last.equations(curves, weights, projected, around, level)
         poses, _ = solve(normal, right, pose, before, precision)
         mean = normal.mean(0, keepdim=True), right.mean(0, keepdim=True)
         _, of_solver = solve(*mean, pose, before, precision)

@@ -237,9 +237,13 @@ class AlignmentEstimator(nn.Module):
         start: finds the pose that rounds begin with; None: they begin with no decalibration.
         start_inflation: factor on the covariance of its error: the rounds read the same edges and
             the same image again, so that what the start says counts less than it would alone.
+        reaches: how far around the pose so far each round looks, in units of the range; None: as
+            far as the covariance of the round before says. Summed over a window that covariance
+            soon is too small: errors that edges and frames have in common do not average out.
 
     Raises:
-        ConfigurationError: a round at a scale that the network does not have.
+        ConfigurationError: a round at a scale that the network does not have, or a reach that is
+            none.
     """
 
     def __init__(
@@ -250,6 +254,7 @@ class AlignmentEstimator(nn.Module):
         learning: LearningSettings,
         start: EdgeAlignmentEstimator | None = None,
         start_inflation: float = 16.0,
+        reaches: Sequence[float] | None = None,
     ) -> None:
         super().__init__()
         if start_inflation < 1:
@@ -260,11 +265,19 @@ class AlignmentEstimator(nn.Module):
             raise ConfigurationError(
                 f"model.rounds={list(rounds)}: expected strides out of {list(STRIDES)}, the last 1"
             )
+        if reaches is not None and not (
+            len(reaches) == len(rounds) and all(0 < reach <= 1 for reach in reaches)
+        ):
+            raise ConfigurationError(
+                f"model.reaches={list(reaches)}: expected null, or a number above 0 and at most 1 "
+                f"for each of model.rounds={list(rounds)}"
+            )
         self.last: LastRound = LastRound(network, bounds).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.rounds = [STRIDES.index(stride) for stride in rounds]
         self.learning = learning
         self.start = start
         self.start_inflation = start_inflation
+        self.reaches = reaches and tuple(reaches)
 
     @property
     def bounds(self) -> Tensor:
@@ -286,22 +299,36 @@ class AlignmentEstimator(nn.Module):
         covariance = self.start_inflation * covariance + LEAST * torch.eye(6).to(covariance)
         return State(pose, covariance, Prior(pose, torch.linalg.inv(covariance)))
 
-    def align(self, batch: NetworkInput, rounds: Sequence[int]) -> State:
-        """Rounds without dropout."""
+    def align(self, batch: NetworkInput, rounds: int) -> State:
+        """The first rounds, without dropout."""
         n = len(batch.unit_index)
         state = self.begin(batch)
         maps = self.last.network.describe(batch.x)
         size = (batch.x.shape[-2], batch.x.shape[-1])
-        for level in rounds:
+        for number, level in enumerate(self.rounds[:rounds]):
             T = self.assumed(batch, state)
             projected = project_edges(batch.edges, batch.K, T, size, self.bounds)
             read = self.last.network.read(maps, projected, level)
             curves, weights = self.last.network.curves(read, batch.edges, batch.K, projected, level)
-            equations = self.last.equations(
-                curves, weights, projected, state.covariance[batch.unit], level
-            )
+            around = self.around(number, state.covariance)[batch.unit]
+            equations = self.last.equations(curves, weights, projected, around, level)
             state = self.solve(self.fuse(pack(*equations), batch.unit, n), state)
         return state
+
+    def around(self, number: int, covariance: Tensor) -> Tensor:
+        """Where a round expects the pose to be.
+
+        Args:
+            number: of the round.
+            covariance: (n, 6, 6) of the pose so far, in units of the range.
+
+        Returns:
+            (n, 6, 6) covariance about the pose so far.
+        """
+        if self.reaches is None:
+            return covariance
+        eye = torch.eye(6, dtype=covariance.dtype, device=covariance.device)
+        return (self.reaches[number] ** 2 / PRIOR * eye).expand_as(covariance)
 
     def assumed(self, batch: NetworkInput, state: State) -> Tensor:
         """(B, 4, 4) extrinsics after what is known so far has been taken out."""
@@ -353,13 +380,15 @@ class AlignmentEstimator(nn.Module):
         Returns:
             (n, 6) metres and radians.
         """
-        return self.align(batch, self.rounds).pose * self.bounds
+        return self.align(batch, len(self.rounds)).pose * self.bounds
 
     def question(self, batch: NetworkInput) -> Question:
         """All rounds but the last, which stochastic passes repeat."""
-        state = self.align(batch, self.rounds[:-1])
+        before = len(self.rounds) - 1
+        state = self.align(batch, before)
         T = self.assumed(batch, state)
-        return Question((batch.x, batch.edges, batch.K, T, state.covariance[batch.unit]), state)
+        around = self.around(before, state.covariance)[batch.unit]
+        return Question((batch.x, batch.edges, batch.K, T, around), state)
 
     def answer(self, samples: Tensor, batch: NetworkInput, question: Question) -> Answer:
         """Poses of the stochastic passes, and what the solver itself knows of their error.

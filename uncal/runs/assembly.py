@@ -212,6 +212,7 @@ def _estimator(
             instantiate(model.learning),
             start and _edge_alignment(config, start, decalibration),
             16.0 if start is None else start.inflation,
+            model.get("reaches"),
         )
     if isinstance(network, EdgeAlignment):
         return EdgeAlignmentEstimator(network, decalibration.bounds, instantiate(model.search))
