@@ -154,6 +154,18 @@ def test_the_same_weights_with_other_intervals(
     assert f"fixed masks, intervals of kind {interval}" in markdown
 
 
+def test_another_model_setting_calibrates_anew(demo: object, workplace: Path, start: Run) -> None:
+    evaluate(start, workplace, "one_round", "model.rounds=[1]")
+    scores = [
+        torch.load(workplace / run / "checkpoints" / "best.ckpt", weights_only=True)["state_dict"][
+            "calibrator.scores"
+        ]
+        for run in ("first", "one_round")
+    ]
+    assert scores[0].shape == scores[1].shape
+    assert not torch.allclose(scores[0], scores[1])
+
+
 def test_quantile_regression_needs_its_head(workplace: Path, start: Run, tiny: list[str]) -> None:
     finished = start("uncal.train", *tiny, "hydra.run.dir=no_head", "interval=cqr", cwd=workplace)
     assert finished.returncode == 1

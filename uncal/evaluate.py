@@ -16,7 +16,15 @@ from uncal.settings.help_page import show_help
 
 log = logging.getLogger(__name__)
 
-CALIBRATION: tuple[str, ...] = ("interval", "mcd", "window", "split", "decalibration", "seed")
+CALIBRATION: tuple[str, ...] = (
+    "model",
+    "interval",
+    "mcd",
+    "window",
+    "split",
+    "decalibration",
+    "seed",
+)
 """Settings that a calibration belongs to."""
 
 
