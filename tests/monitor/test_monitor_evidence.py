@@ -17,6 +17,8 @@ from uncal.edges.evidence import pack, unpack
 from uncal.models.alignment import PRIOR, AlignmentEstimator
 from uncal.monitor.equations import beyond
 from uncal.monitor.evidence import EvidenceReader
+from uncal.monitor.references import fingerprint
+from uncal.monitor.settings import MonitorSettings
 from uncal.recordings.frame import Frame, FrameId
 from uncal.runs.assembly import build_module
 from uncal.runs.checkpoint import save_weights
@@ -55,6 +57,19 @@ def frame() -> Frame:
     image = rng.integers(0, 256, (80, 208, 3), dtype=np.uint8)
     flat = points.reshape(-1, 4).astype(np.float32)
     return Frame(FrameId("rig", "drive", 0), image, flat, K, T, 0.0)
+
+
+@pytest.mark.parametrize("name", ["reaches", "rounds", "start"])
+def test_references_belong_to_the_rounds_and_the_start(
+    reader: EvidenceReader, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    settings = MonitorSettings.shipped()
+    before = fingerprint(reader, settings)
+    model = reader.module.recipe["model"]
+    assert isinstance(model, dict)
+    monkeypatch.setitem(model, name, [1])
+    after = fingerprint(reader, settings)
+    assert {key for key in before if before[key] != after[key]} == {"estimator"}
 
 
 def test_with_its_prior_a_frame_says_what_the_module_estimates(

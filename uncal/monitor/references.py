@@ -15,6 +15,7 @@ import zipfile
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import torch
@@ -32,6 +33,7 @@ from uncal.system.progress import watched
 from uncal.uncertainty.conformal.hierarchical import HierarchicalCalibrator
 from uncal.uncertainty.conformal.quantile import miscoverage, samples_needed
 from uncal.uncertainty.conformal.split_conformal import ConformalCalibrator
+from uncal.weights.digest import digest_of
 from uncal.weights.shipped import load_shipped
 
 log = logging.getLogger(__name__)
@@ -43,6 +45,9 @@ SIMULATED = "simulated: "
 
 INSIDE = "monitor.references"
 """Name of the tensor of references in a file of weights."""
+
+_SEARCHED_WITH = ("rounds", "reaches", "start", "search")
+"""Settings of a model that no weights hold, and that decide what it finds all the same."""
 
 FLOOR = 1e-6
 """Smallest σ to divide by, metres and radians."""
@@ -268,6 +273,7 @@ def fingerprint(reader: EvidenceReader, settings: MonitorSettings) -> dict[str, 
         settings: of the monitor.
     """
     identity = reader.module.engine.identity()
+    model = cast("dict[str, object]", reader.module.recipe.get("model", {}))
     return {
         "weights": identity.weights[:16],
         "passes": identity.passes,
@@ -280,6 +286,7 @@ def fingerprint(reader: EvidenceReader, settings: MonitorSettings) -> dict[str, 
         "forgetting": settings.forgetting,
         "start": reader.ask.start_inflation if reader.counts_start else 0.0,
         "statistics": list(WINDOWED),
+        "estimator": digest_of({key: model.get(key) for key in _SEARCHED_WITH}),
     }
 
 
