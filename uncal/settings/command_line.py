@@ -11,10 +11,19 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 
 from uncal.settings.configuration import CONFIG_DIR
+from uncal.settings.refusals import refused_options
 
 
 def quote_arguments() -> None:
-    """Make this process's arguments readable for Hydra; before ``main()``."""
+    """Make this process's arguments readable for Hydra; before ``main()``.
+
+    Raises:
+        SystemExit: a word is no option and no setting; exit code 2 after a sentence.
+    """
+    refused = refused_options(sys.argv[1:])
+    if refused is not None:
+        sys.stderr.write(f"{refused}\n")
+        raise SystemExit(2)
     sys.argv[1:] = readable(sys.argv[1:], Path(CONFIG_DIR))
 
 
