@@ -67,6 +67,24 @@ def test_it_is_one_sentence(
 
 
 @pytest.mark.parametrize(
+    ("word", "said"),
+    [
+        ("levels=[]", "levels=[]: expected a list"),
+        ("levels=0.9", "levels=0.9: expected a list"),
+        ("levels=[1.0]", "levels=[1.0]: expected a list"),
+        ("image_size=232", "image_size=232: expected a list of 2, each a whole number from 32"),
+    ],
+)
+def test_settings_of_an_export_have_bounds(
+    word: str, said: str, start: Run, tmp_path: Path
+) -> None:
+    ended = start("uncal.export", "weights=unical", "out=a.onnx", word, cwd=tmp_path)
+    assert ended.returncode == 1
+    assert ended.stderr.startswith(said)
+    assert not list(tmp_path.glob("*.onnx"))
+
+
+@pytest.mark.parametrize(
     ("words", "said"),
     [
         (["--epochs", "3"], "--epochs: no such option; settings are key=value without dashes"),

@@ -12,14 +12,16 @@ from hydra.errors import HydraException
 
 from uncal.settings.configuration import CONFIG_DIR
 from uncal.settings.refusals import refused_options
+from uncal.system.output import outlive_readers
 
 
 def quote_arguments() -> None:
-    """Make this process's arguments readable for Hydra; before ``main()``.
+    """Make this process's arguments readable for Hydra, and its output ready; before ``main()``.
 
     Raises:
         SystemExit: a word is no option and no setting; exit code 2 after a sentence.
     """
+    outlive_readers()
     refused = refused_options(sys.argv[1:])
     if refused is not None:
         sys.stderr.write(f"{refused}\n")

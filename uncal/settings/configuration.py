@@ -22,6 +22,7 @@ from uncal.settings.guard import explain, task_words
 from uncal.settings.refusals import refusal
 from uncal.system.disk import disk_trouble
 from uncal.system.memory import memory_trouble
+from uncal.system.output import outlive_readers
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -117,6 +118,7 @@ def exits_on_error(main: Callable[P, R]) -> Callable[P, R]:
 
     @functools.wraps(main)
     def wrapped(*args: P.args, **kwargs: P.kwargs) -> R:
+        outlive_readers()
         try:
             return main(*args, **kwargs)
         except UncalError as error:
