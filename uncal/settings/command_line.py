@@ -22,6 +22,8 @@ def quote_arguments() -> None:
         SystemExit: a word is no option and no setting; exit code 2 after a sentence.
     """
     outlive_readers()
+    # Python reads settings up to the first option only; -m may stand anywhere.
+    sys.argv[1:] = sorted(sys.argv[1:], key=lambda word: word not in ("-m", "--multirun"))
     refused = refused_options(sys.argv[1:])
     if refused is not None:
         sys.stderr.write(f"{refused}\n")
