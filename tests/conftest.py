@@ -23,6 +23,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import cv2
 import numpy as np
 import pytest
+from hydra.core.hydra_config import HydraConfig
 from numpy.typing import NDArray
 
 from uncal.recordings.frame import Frame
@@ -277,6 +278,7 @@ def _start_here(module: str, *overrides: str, cwd: Path) -> subprocess.Completed
         isolate_rng(),
     ):
         patch.chdir(cwd)
+        patch.setattr(HydraConfig.instance(), "cfg", None)  # a job that never began leaves its own
         patch.setattr(sys, "argv", [module, *words])
         patch.setattr(sys, "orig_argv", ["python", "-m", module, *words])
         warnings.resetwarnings()

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import shutil
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import cast
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -110,6 +113,12 @@ def test_the_layout_chooses_the_dataset(tmp_path: Path, kitti_raw_root: Path) ->
         layout_of(tmp_path / "own", "recordings")
     with pytest.raises(SystemExit, match="no such folder"):
         with_layout([f"recordings={tmp_path / 'none'}"])
+    refused = PermissionError(errno.EACCES, os.strerror(errno.EACCES), "own/rig.yaml")
+    with (
+        patch.object(Path, "is_file", side_effect=refused),
+        pytest.raises(SystemExit, match=r"^own/rig.yaml: permission denied"),
+    ):
+        with_layout([f"recordings={tmp_path / 'own'}"])
 
 
 @pytest.fixture(scope="module")

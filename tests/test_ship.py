@@ -75,6 +75,12 @@ def test_an_unfinished_run_is_a_sentence_and_earlier_weights_stay(
     assert not list(tmp_path.glob(".*.partial"))
 
 
+@pytest.mark.parametrize("target", ["", ".", ".."])
+def test_weights_need_a_name(run: Path, target: str) -> None:
+    with pytest.raises(SystemExit, match=r"expected a name, such as weights/unical"):
+        main([str(run), target])
+
+
 def test_a_folder_that_cannot_be_is_a_sentence(run: Path, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(SystemExit, match="cannot be written"):

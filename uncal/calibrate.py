@@ -8,11 +8,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import hydra
-from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from uncal.settings.command_line import quote_arguments
 from uncal.settings.configuration import CONFIG_DIR, exits_on_error, quiet_libraries
+from uncal.settings.guard import task_words
 from uncal.settings.help_page import show_help
 
 log = logging.getLogger(__name__)
@@ -32,6 +32,7 @@ def main(config: DictConfig) -> None:
     from uncal.errors import ConfigurationError
     from uncal.evaluate import chosen_weights
     from uncal.settings.check import check_settings
+    from uncal.system.disk import check_writable
 
     quiet_libraries()
     check_settings(config)
@@ -39,15 +40,17 @@ def main(config: DictConfig) -> None:
     if out.suffix != ".safetensors":
         raise ConfigurationError(f"out={out}: expected a name that ends in .safetensors")
     weights = chosen_weights(config.weights, config.ckpt)
+    check_writable(out)
     config.dataset.root = config.recordings
     if config.trusted:
-        lines = calibrate(config, list(HydraConfig.get().overrides.task), weights, out)
+        lines = calibrate(config, task_words(), weights, out)
     else:
         lines = find_first(config, weights, out.with_suffix(""))
     for line in lines:
         log.info("%s", line)
 
 
+@exits_on_error
 def with_layout(words: Sequence[str]) -> list[str]:
     """The command line with the dataset that the layout of the recordings is read by.
 
@@ -57,16 +60,12 @@ def with_layout(words: Sequence[str]) -> list[str]:
     >>> with_layout(["recordings=ROOT", "dataset=kitti"])
     ['recordings=ROOT', 'dataset=kitti']
     """
-    from uncal.errors import UncalError
     from uncal.recordings.layout_names import layout_of
 
     given = dict(word.split("=", 1) for word in words if "=" in word)
     if "dataset" in given or "recordings" not in given:
         return list(words)
-    try:
-        layout = layout_of(Path(given["recordings"].strip("'\"")).expanduser(), "recordings")
-    except UncalError as error:
-        raise SystemExit(str(error)) from error
+    layout = layout_of(Path(given["recordings"].strip("'\"")).expanduser(), "recordings")
     return [*words, f"dataset={layout}"]
 
 

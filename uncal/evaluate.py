@@ -6,12 +6,12 @@ import logging
 from pathlib import Path
 
 import hydra
-from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from uncal.errors import ConfigurationError
 from uncal.settings.command_line import quote_arguments
 from uncal.settings.configuration import CONFIG_DIR, exits_on_error, quiet_libraries
+from uncal.settings.guard import task_words
 from uncal.settings.help_page import show_help
 
 log = logging.getLogger(__name__)
@@ -54,7 +54,7 @@ def main(config: DictConfig) -> float:
     check_settings(config)
     path = chosen_weights(config.weights, config.ckpt)
     recipe = read_recipe(path)
-    run = with_settings_of(config, recipe, HydraConfig.get().overrides.task, RECIPE)
+    run = with_settings_of(config, recipe, task_words(), RECIPE)
     refuse_values(run, None)
     lightning.seed_everything(run.seed, workers=True, verbose=False)
     say_simulated(run)

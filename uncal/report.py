@@ -43,14 +43,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
     from uncal.comparison.tidy import tidy_csv
     from uncal.reporting.layout import write_whole
     from uncal.reporting.published import published_paper
+    from uncal.system.disk import check_writable
 
     quiet_libraries()
     gathered, paper = gather(options.runs), published_paper()
     given = sys.argv[1:] if arguments is None else arguments
-    content = compare(paper, gathered, shlex.join(["python", "-m", "uncal.report", *given]))
     folder = options.output or Path("outputs/report") / f"{datetime.now():%Y-%m-%d_%H-%M-%S-%f}"
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        check_writable(folder / "report.html")
+        content = compare(paper, gathered, shlex.join(["python", "-m", "uncal.report", *given]))
         page = write_whole(folder / "report.html", html_page(content))
         write_whole(folder / "report.md", markdown_text(content))
         write_whole(folder / "report.csv", tidy_csv(paper, gathered.all_runs))

@@ -57,6 +57,7 @@ def ship(run: Path, target: Path, training: str, commit: str, limits: str) -> No
 
     from uncal.reporting.layout import replaced_whole, write_whole
     from uncal.reporting.run_record import read_record
+    from uncal.system.disk import check_writable
     from uncal.weights.shipped import load_checkpoint, save_shipped
 
     known, table = read_record(run), run / "results.md"
@@ -66,12 +67,14 @@ def ship(run: Path, target: Path, training: str, commit: str, limits: str) -> No
             f"{run}: no {lacking} that can be read; give the folder of one finished run of "
             "uncal.train or uncal.evaluate (of a multirun: of one of its jobs)"
         )
-    state, recipe = load_checkpoint(run / "checkpoints" / "best.ckpt")
     stem = target.name.removesuffix(".safetensors")
+    if not stem.strip("."):
+        raise ConfigurationError(f"target {str(target)!r}: expected a name, such as weights/unical")
     path, card = target.with_name(f"{stem}.safetensors"), target.with_name(f"{stem}.md")
+    state, recipe = load_checkpoint(run / "checkpoints" / "best.ckpt")
     plain = cast("dict[str, object]", OmegaConf.to_container(recipe, resolve=True))
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        check_writable(path)
         with replaced_whole(path) as partial:
             save_shipped(state, plain, partial)
             size = partial.stat().st_size

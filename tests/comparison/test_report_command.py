@@ -323,6 +323,17 @@ def test_errors_end_with_their_message(tmp_path: Path, folders: list[Path]) -> N
         assert arguments[-1] in str(caught.value.code)
 
 
+def test_where_to_write_is_tried_before_the_work(
+    folders: list[Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def works(*_: object) -> None:
+        raise AssertionError("compared before the folder was tried")
+
+    monkeypatch.setattr("uncal.comparison.page.compare", works)
+    with pytest.raises(SystemExit, match="cannot be written"):
+        main([str(folders[0]), "--output", str(folders[0] / "results.csv" / "x")])
+
+
 def test_a_damaged_figure_is_named(tmp_path: Path, make: MakeRun) -> None:
     run = make(tmp_path / "run")
     (run / "figures").mkdir()

@@ -109,3 +109,9 @@ def test_a_bag_is_not_followed(recorded: Path, tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match="follow=true: a bag"):
         check_source(source(bag, follow=True))
     check_source(source(bag))
+
+
+def test_a_bag_is_of_one_drive(recorded: Path, tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match=r"drive=\*: matches .*; give one of them"):
+        drive_as_bag(recorded, "*", tmp_path / "all")
+    assert not (tmp_path / "all").exists()

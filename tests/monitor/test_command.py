@@ -98,9 +98,20 @@ def test_every_frame_gets_a_verdict_and_a_run_goes_on_where_it_was(
         (["weights=unical", "source=.", "window=zero"], "window=zero"),
         (["weights=unical", "source=.", "+wide=3"], "wide: nothing reads this"),
         (["weights=unical", "source=.", "limits.width_cm=-1"], "limits.width_cm=-1"),
+        (["weights=unical", "source=.", "extrinsic=x.yaml"], "is a folder, of which nothing reads"),
+        (
+            ["weights=unical", "source=.", "camera_topic=/x"],
+            "camera_topic=/x: source=. is a fold",
+        ),
+        (["weights=unical", "source=a.bag", "camera=left"], "camera=left: source=a.bag is a bag"),
+        (
+            ["weights=unical", "calibrate=.", "references=a.bag/x.npz"],
+            "a file, where a folder mu",
+        ),
     ],
 )
 def test_what_cannot_be_is_said(words: list[str], named: str, tmp_path: Path, start: Run) -> None:
+    (tmp_path / "a.bag").touch()
     done = start(COMMAND, *words, cwd=tmp_path)
     assert done.returncode != 0
     assert named in done.stderr

@@ -80,6 +80,22 @@ def test_a_bag_without_pairs_leaves_nothing(tmp_path: Path) -> None:
     assert names(tmp_path) == set()
 
 
+@pytest.mark.parametrize(
+    ("camera", "lidar", "said"),
+    [
+        ("a/b", "lidar", "camera=a/b: expected the name of a folder"),
+        ("camera", "../x", r"lidar=\.\./x: expected the name of a folder"),
+        ("top", "top", "camera=top, lidar=top: each needs a folder"),
+    ],
+)
+def test_sensors_are_folders_of_the_drive(
+    tmp_path: Path, camera: str, lidar: str, said: str
+) -> None:
+    with pytest.raises(ConfigurationError, match=said):
+        write_folder(cast(BagStream, Bag(None)), tmp_path / "r", "a", camera, lidar, np.eye(4))
+    assert names(tmp_path) == set()
+
+
 @pytest.mark.parametrize("drive", ["../b", "a/b", "", ".", ".hidden"])
 def test_a_drive_is_a_folder_of_the_root(tmp_path: Path, drive: str) -> None:
     with pytest.raises(ConfigurationError, match="expected the name of a folder"):

@@ -17,6 +17,7 @@ from uncal.runs.assembly import (
     build_module,
     check_pairing,
     image_size,
+    refuse_missing_gpu,
     say_simulated,
     validation_interval,
 )
@@ -26,6 +27,20 @@ from uncal.settings.configuration import CONFIG_DIR
 def composed(*overrides: str) -> DictConfig:
     with initialize_config_dir(CONFIG_DIR, version_base="1.3"):
         return compose("train", list(overrides))
+
+
+def test_a_gpu_that_is_not_there_is_said_in_words_of_the_settings(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    monkeypatch.setattr(torch.backends.mps, "is_available", lambda: False)
+    for name in ("gpu", "cuda", "mps"):
+        with pytest.raises(ConfigurationError, match=rf"^trainer\.accelerator={name}: .* use cpu"):
+            refuse_missing_gpu(name)
+    for name in ("cpu", "auto"):
+        refuse_missing_gpu(name)
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    refuse_missing_gpu("gpu")
 
 
 @pytest.mark.parametrize("backbone", ["edges", "mobilevit_xxs", "mobilevit_s"])

@@ -37,6 +37,12 @@ def test_no_group_is_said_as_no_key_is(tmp_path: Path) -> None:
     assert readable(words, tmp_path) == ["~model", "~model/head", *words[2:]]
 
 
+def test_a_multirun_is_asked_for_anywhere(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "argv", ["train.py", "seed=0", "-m", "mcd.passes=5,10"])
+    quote_arguments()
+    assert sys.argv == ["train.py", "-m", "seed=0", "mcd.passes=5,10"]
+
+
 def test_the_processes_own_arguments(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "argv", ["a=b=c.py", "ckpt=a=1.ckpt", "logger=null"])
     quote_arguments()

@@ -16,11 +16,13 @@ import numpy as np
 import pytest
 import torch
 
+from uncal.errors import ConfigurationError
 from uncal.recordings.sensor_files import write_image
 from uncal.reporting.layout import write_whole
 from uncal.runs.checkpoint import save_weights
 from uncal.runs.saving import WholeCheckpoints
 from uncal.settings.configuration import exits_on_error
+from uncal.settings.guard import names_the_setting
 from uncal.system.disk import check_writable, disk_trouble
 
 
@@ -74,6 +76,22 @@ def test_what_hides_a_full_disk_is_looked_through() -> None:
     assert disk_trouble(OSError(errno.ENOENT, "x", "y")) is None
     read_only = OSError(errno.EROFS, os.strerror(errno.EROFS), "out")
     assert "out: the disk can only be read" in str(disk_trouble(read_only))
+
+
+def test_libraries_in_rust_pass_the_number_on() -> None:
+    error = RuntimeError('I/O error: Permission denied (os error 13) at path "out/.tmp7"')
+    assert str(disk_trouble(error)).startswith("out/.tmp7: permission denied. Name another")
+    assert "no space left" in str(disk_trouble(RuntimeError("I/O error: … (os error 28)")))
+    assert disk_trouble(RuntimeError("No such file or directory (os error 2)")) is None
+
+
+def test_a_constructor_that_may_not_read_names_the_path() -> None:
+    @names_the_setting("dataset")
+    def build() -> None:
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), "data/2011_09_26")
+
+    with pytest.raises(ConfigurationError, match=r"^data/2011_09_26: permission denied\. Name"):
+        build()
 
 
 def test_a_file_that_cannot_be_written_is_found_before_the_work(tmp_path: Path) -> None:

@@ -19,6 +19,7 @@ from uncal.monitor.references import INSIDE, make_references
 from uncal.monitor.settings import MonitorSettings
 from uncal.recordings.frame import FrameId, Recording
 from uncal.recordings.static_transform import StaticTransform
+from uncal.reporting.layout import replaced_whole
 from uncal.runs.assembly import RECIPE, build_data, build_module, build_trainer
 from uncal.runs.checkpoint import load_weights, read_recipe
 from uncal.runs.evaluation_settings import with_settings_of
@@ -72,7 +73,8 @@ def calibrate(config: DictConfig, words: list[str], weights: Path, out: Path) ->
     module.eval()
     scores = predict_split(trainer, module, data, "uncertainty_calibration")
     module.fit_calibrator(scores, frames)
-    save_shipped(module.state_dict(), module.recipe, out)
+    with replaced_whole(out) as partial:
+        save_shipped(module.state_dict(), module.recipe, partial)
     lines += summary(module, scores, frames, levels)
     written = [out]
     if config.references:
@@ -101,7 +103,8 @@ def _add_references(
         except ConfigurationError as error:
             reason = str(error)
             continue
-        save_shipped(module.state_dict(), module.recipe, out, {INSIDE: references.packed()})
+        with replaced_whole(out) as partial:
+            save_shipped(module.state_dict(), module.recipe, partial, {INSIDE: references.packed()})
         hint = "" if exchangeable == "drive" else " exchangeable=window"
         return [
             f"The monitor's references: {len(references.drives)} windows. python -m "

@@ -21,6 +21,7 @@ from uncal.geometry.projection import project
 from uncal.recordings.frame import Frame, FrameId, Recording
 from uncal.recordings.sensor_files import write_image
 from uncal.reporting.overlay import draw_events, overlay_panel
+from uncal.system.disk import check_writable
 from uncal.system.progress import watched
 
 log = logging.getLogger(__name__)
@@ -65,6 +66,8 @@ def check(
         RecordingError: the folder has none of the layouts.
     """
     layout, drives = find_layout(root, camera)
+    if overlays is not None:
+        check_writable(overlays / "overlay.png")
     reports = [_check(d, n_frames, overlays) for d in watched(drives, "checking", quiet=quiet)]
     return Checked(layout, reports)
 

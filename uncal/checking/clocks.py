@@ -64,7 +64,7 @@ def _gain(table: NDArray[np.float64], lag: int) -> NDArray[np.float64]:
     """Of every image that has a scan so many frames later, over its own scan."""
     own = np.diag(table)
     other = np.diag(table, lag)
-    return other - (own[: len(other)] if lag > 0 else own[-len(other) :])
+    return other - (own[: len(other)] if lag > 0 else own[len(own) - len(other) :])
 
 
 def _clear(gains: NDArray[np.float64], own: NDArray[np.float64]) -> bool:

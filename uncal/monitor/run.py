@@ -24,6 +24,7 @@ from uncal.monitor.sources import SourceSettings, check_source, open_recording, 
 from uncal.monitor.verdict import VERDICTS
 from uncal.monitor.view import View
 from uncal.simulation.manifest import MANIFEST_NAME
+from uncal.system.disk import check_writable
 from uncal.weights.shipped import find_weights, shipped_names
 
 log = logging.getLogger(__name__)
@@ -69,12 +70,15 @@ def calibrate(config: DictConfig, folder: Path) -> str:
     """
     weights = find_weights(str(config.weights or config.ckpt))
     settings = _settings(config)
-    recording = open_recording(_source(config, config.calibrate))
+    path = Path(config.references) if config.references else references_beside(weights)
+    check_writable(path)
+    source = _source(config, config.calibrate)
+    check_source(source)
+    recording = open_recording(source)
     reader = EvidenceReader(weights, _device(), settings.seed)
     simulated = (Path(config.calibrate) / MANIFEST_NAME).is_file()
     label = f"{SIMULATED * simulated}{config.calibrate}"
     references = make_references(recording, reader, settings, label)
-    path = Path(config.references) if config.references else references_beside(weights)
     try:
         references.save(path)
     except OSError as error:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 
 from omegaconf import OmegaConf
@@ -166,9 +166,20 @@ def check_source(settings: SourceSettings) -> None:
 
     Raises:
         RecordingError: there are no frames.
-        ConfigurationError: a bag that is to be followed.
+        ConfigurationError: a bag that is to be followed, or a setting that concerns bags only, or
+            folders only.
     """
-    if not is_bag(settings.root.expanduser()):
+    bag = is_bag(settings.root.expanduser())
+    optional = [field.name for field in fields(settings.bag) if field.default is None]
+    of_bags = {name: getattr(settings.bag, name) for name in optional}
+    of_folders = {"drives": settings.drives, "camera": settings.camera}
+    for name, value in (of_folders if bag else of_bags).items():
+        if value is not None:
+            raise ConfigurationError(
+                f"{name}={value}: source={settings.root} is a {'bag' if bag else 'folder'}, of "
+                f"which nothing reads {name}; leave it out"
+            )
+    if not bag:
         if not settings.follow:
             open_recording(settings)
     elif settings.follow:

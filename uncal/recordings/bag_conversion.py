@@ -66,8 +66,8 @@ def write_folder(
         The drive's folder.
 
     Raises:
-        ConfigurationError: there is no extrinsic, the drive exists, ``drive`` is no name of a
-            folder, or the root is of another rig.
+        ConfigurationError: there is no extrinsic, the drive exists, a name is none of a folder, or
+            the root is of another rig.
         RecordingError: the bag gives not one pair, or is damaged; the pairs before that are kept.
     """
     if T_cam_lidar is None:
@@ -75,8 +75,13 @@ def write_folder(
             f"{stream.path} has no transform between camera and LiDAR in /tf_static: give "
             "extrinsic=FILE, a YAML file with T_cam_lidar (4×4, LiDAR → camera, metres)."
         )
-    if not drive or Path(drive).name != drive or drive.startswith("."):
-        raise ConfigurationError(f"drive={drive}: expected the name of a folder, without a path.")
+    for key, name in (("drive", drive), ("camera", camera), ("lidar", lidar)):
+        if not name or Path(name).name != name or name.startswith("."):
+            raise ConfigurationError(f"{key}={name}: expected the name of a folder, without a path")
+    if camera == lidar:
+        raise ConfigurationError(
+            f"camera={camera}, lidar={lidar}: each needs a folder, and so a name, of its own"
+        )
     folder, partial = root / drive, root / f".{drive}.partial"
     if folder.exists():
         raise ConfigurationError(f"{folder} exists; remove it, or give drive=another_name.")

@@ -253,6 +253,7 @@ def build_trainer(config: DictConfig) -> lightning.Trainer:
 
     Validations are spread evenly and always include the last epoch.
     """
+    refuse_missing_gpu(str(config.trainer.accelerator))
     epochs = config.trainer.max_epochs
     every = validation_interval(epochs, config.dataset.validations)
     callbacks = [callback for callback in config.callbacks.values() if callback]
@@ -269,6 +270,24 @@ def build_trainer(config: DictConfig) -> lightning.Trainer:
         plugins=[*(config.trainer.get("plugins") or []), WholeCheckpoints()],
     )
     return trainer
+
+
+def refuse_missing_gpu(accelerator: str) -> None:
+    """Say in the words of the settings that there is no such device.
+
+    Args:
+        accelerator: as lightning.Trainer takes it.
+
+    Raises:
+        ConfigurationError: it asks for a GPU, and torch finds none.
+    """
+    there = {"cuda": torch.cuda.is_available(), "mps": torch.backends.mps.is_available()}
+    there["gpu"] = any(there.values())
+    if not there.get(accelerator, True):
+        raise ConfigurationError(
+            f"trainer.accelerator={accelerator}: torch finds none here; use cpu, or auto, which "
+            "takes a GPU where there is one"
+        )
 
 
 def validation_interval(epochs: int, validations: int) -> int:

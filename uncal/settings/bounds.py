@@ -55,6 +55,8 @@ BOUNDS: Mapping[str, Rule] = {
     "mcd.insert.exclude": Listed(Text()),
     "mcd.insert.p": LEVEL,
     "interval.levels": LEVELS,
+    "levels": Either(LEVELS, None),
+    "image_size": Listed(Number(32, 4096, whole=True), 2),
     "interval.sigma_floor": SHARE,
     "interval.quantile_levels": Listed(LEVEL, 2, rising=True),
     "interval.groups": Words("rig", "drive"),

@@ -6,13 +6,13 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import cast
 
-from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from uncal.errors import ConfigurationError
 from uncal.settings.annotations import annotation_of, conforms, described
 from uncal.settings.bounds import SIZES, bounds_of
+from uncal.settings.guard import task_words
 from uncal.settings.readers import Tree, refuse_unread
 from uncal.settings.rules import Listed, Number, Rule, like
 from uncal.settings.shipped import shipped_for_this_job
@@ -47,7 +47,7 @@ def check_settings(config: DictConfig) -> None:
     shipped = shipped_for_this_job()
     if shipped is not None:
         refuse_unread(config, shipped)
-        refuse_removed(HydraConfig.get().overrides.task, shipped)
+        refuse_removed(task_words(), shipped)
     refuse_values(config, shipped)
 
 

@@ -11,10 +11,23 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 
 from uncal.settings.configuration import CONFIG_DIR
+from uncal.settings.refusals import refused_options
+from uncal.system.output import outlive_readers
 
 
 def quote_arguments() -> None:
-    """Make this process's arguments readable for Hydra; before ``main()``."""
+    """Make this process's arguments readable for Hydra, and its output ready; before ``main()``.
+
+    Raises:
+        SystemExit: a word is no option and no setting; exit code 2 after a sentence.
+    """
+    outlive_readers()
+    # Python reads settings up to the first option only; -m may stand anywhere.
+    sys.argv[1:] = sorted(sys.argv[1:], key=lambda word: word not in ("-m", "--multirun"))
+    refused = refused_options(sys.argv[1:])
+    if refused is not None:
+        sys.stderr.write(f"{refused}\n")
+        raise SystemExit(2)
     sys.argv[1:] = readable(sys.argv[1:], Path(CONFIG_DIR))
 
 

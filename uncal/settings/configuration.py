@@ -10,16 +10,19 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import ParamSpec, TypeVar
 
-from hydra._internal.hydra import Hydra
+from hydra._internal import utils as hydra_utils
 from hydra.core.hydra_config import HydraConfig
-from hydra.errors import CompactHydraException, InstantiationException
+from hydra.errors import CompactHydraException, HydraException, InstantiationException
 from hydra.types import RunMode
+from omegaconf.errors import OmegaConfBaseException
 
 from uncal.errors import ConfigurationError, UncalError
 from uncal.settings import sweep_source
-from uncal.settings.guard import explain
+from uncal.settings.guard import explain, task_words
+from uncal.settings.refusals import refusal
 from uncal.system.disk import disk_trouble
 from uncal.system.memory import memory_trouble
+from uncal.system.output import outlive_readers
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -52,25 +55,49 @@ CONFIG_DIR: str = find_config_dir(Path(__file__).resolve().parents[1])
 sweep_source.register()
 
 
-def _explains_the_disk(start: Callable[P, R]) -> Callable[P, R]:
-    """Make what Hydra meets before a job starts, such as a full disk, a sentence too."""
+def group_names(folder: Path) -> list[str]:
+    """The configuration groups in a folder, such as model/backbone.
 
-    @functools.wraps(start)
-    def explained(*args: P.args, **kwargs: P.kwargs) -> R:
-        try:
-            return start(*args, **kwargs)
-        except OSError as error:
-            trouble = disk_trouble(error)
-            if trouble is None or os.environ.get(FULL_ERROR) == "1":
-                raise
-            raise CompactHydraException(trouble) from error
-
-    return explained
+    Args:
+        folder: with a folder for each.
+    """
+    within = {path.parent.relative_to(folder).as_posix() for path in folder.rglob("*.yaml")}
+    return sorted(within - {"."})
 
 
-# Hydra makes the run's folder itself, prints what goes wrong there, and offers no hook before it.
-Hydra.run = _explains_the_disk(Hydra.run)  # type: ignore[method-assign]
-Hydra.multirun = _explains_the_disk(Hydra.multirun)  # type: ignore[method-assign]
+def _reports_in_a_sentence(
+    report: Callable[[Callable[[], R]], R],
+) -> Callable[[Callable[[], R]], R]:
+    """Make what Hydra meets outside a job, such as a misspelt key or a full disk, a sentence too.
+
+    Args:
+        report: Hydra's own, which calls a function and prints what goes wrong.
+    """
+
+    @functools.wraps(report)
+    def reported(function: Callable[[], R]) -> R:
+        def explained() -> R:
+            try:
+                return function()
+            except KeyboardInterrupt:
+                raise SystemExit(INTERRUPTED) from None
+            except Exception as error:
+                trouble = disk_trouble(error)
+                if trouble is None and isinstance(error, HydraException | OmegaConfBaseException):
+                    trouble = refusal(error, group_names(Path(CONFIG_DIR)))
+                if trouble is None or os.environ.get(FULL_ERROR) == "1":
+                    raise
+                raise SystemExit(trouble) from error
+
+        return report(explained)
+
+    return reported
+
+
+# Hydra composes, and makes the run's folder, before a job starts, and offers no hook there.
+hydra_utils.run_and_report = _reports_in_a_sentence(  # type: ignore[assignment]
+    hydra_utils.run_and_report
+)
 
 
 def exits_on_error(main: Callable[P, R]) -> Callable[P, R]:
@@ -91,6 +118,7 @@ def exits_on_error(main: Callable[P, R]) -> Callable[P, R]:
 
     @functools.wraps(main)
     def wrapped(*args: P.args, **kwargs: P.kwargs) -> R:
+        outlive_readers()
         try:
             return main(*args, **kwargs)
         except UncalError as error:
@@ -138,7 +166,7 @@ def job_overrides() -> list[str]:
     ]
     # As one would type it: Hydra has made the path absolute.
     typed = [os.path.relpath(path) for path in folders]
-    return [*(part for path in typed for part in ("-cd", path)), *hydra.overrides.task]
+    return [*(part for path in typed for part in ("-cd", path)), *task_words()]
 
 
 def in_multirun() -> bool:

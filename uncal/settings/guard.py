@@ -5,12 +5,14 @@ from __future__ import annotations
 import functools
 import re
 from collections.abc import Callable
-from typing import ParamSpec, TypeVar
+from typing import ParamSpec, TypeVar, cast
 
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import InstantiationException
+from omegaconf import OmegaConf
 
 from uncal.errors import ConfigurationError, UncalError
+from uncal.system.disk import disk_trouble
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -44,7 +46,7 @@ def names_the_setting(*groups: str) -> Callable[[Callable[P, R]], Callable[P, R]
                 raise explain(error) from error
             # Whatever it is: these functions do nothing but follow the settings.
             except Exception as error:
-                raise ConfigurationError(_sentence(" and ".join(groups), error, groups)) from error
+                raise _in_a_sentence(" and ".join(groups), error, groups) from error
 
         return guarded
 
@@ -68,7 +70,14 @@ def explain(error: InstantiationException) -> UncalError:
     where, target = _WHERE.search(str(error)), _TARGET.search(str(error))
     key = where[1] if where else "the configuration"
     made = f"{key} ({target[1]})" if target else key
-    return ConfigurationError(_sentence(made, cause or error, (key,)))
+    return _in_a_sentence(made, cause or error, (key,))
+
+
+def _in_a_sentence(
+    subject: str, error: BaseException, groups: tuple[str, ...]
+) -> ConfigurationError:
+    """What is refused by the disk concerns a path; anything else, a setting."""
+    return ConfigurationError(disk_trouble(error) or _sentence(subject, error, groups))
 
 
 def _sentence(subject: str, error: BaseException, groups: tuple[str, ...]) -> str:
@@ -84,4 +93,11 @@ def _given() -> list[str]:
     """The values that the command line sets, as it says them."""
     if not HydraConfig.initialized():
         return []
-    return [word.lstrip("+") for word in HydraConfig.get().overrides.task]
+    return [word.lstrip("+") for word in task_words()]
+
+
+def task_words() -> list[str]:
+    """The overrides of the run that Hydra has started, as typed."""
+    # Not resolved: of ${…} that is not there, a check of the settings says more.
+    words = OmegaConf.to_container(HydraConfig.get().overrides.task, resolve=False)
+    return [str(word) for word in cast("list[object]", words)]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,9 +18,13 @@ _SAID = (
 )
 """What libraries that do not pass the number on say of a full disk."""
 
+_NUMBERED = re.compile(r'\(os error (\d+)\)(?: at path "([^"]+)")?')
+"""How libraries in Rust, such as safetensors, pass it on."""
+
 _REFUSED = {
     errno.EROFS: "the disk can only be read",
     errno.EACCES: "permission denied",
+    errno.EPERM: "permission denied",
     errno.ENOTDIR: "a file, where a folder must be",
     errno.EEXIST: "a file, where a folder must be",
     errno.EISDIR: "a folder, where a file must be",
@@ -34,7 +39,7 @@ def disk_trouble(error: BaseException) -> str | None:
 store=…, dataset.root=…); finished files are as they were, and the same command goes on.'
     >>> disk_trouble(ValueError("x"))
     """
-    for cause in chain_of(error):
+    for cause in map(_as_os_error, chain_of(error)):
         full = isinstance(cause, OSError) and cause.errno in _FULL
         if full or any(words in str(cause) for words in _SAID):
             where = f"{cause.filename}: " if isinstance(cause, OSError) and cause.filename else ""
@@ -51,6 +56,13 @@ store=…, dataset.root=…); finished files are as they were, and the same comm
     return None
 
 
+def _as_os_error(error: BaseException) -> BaseException:
+    numbered = None if isinstance(error, OSError) else _NUMBERED.search(str(error))
+    if numbered is None:
+        return error
+    return OSError(int(numbered[1]), os.strerror(int(numbered[1])), numbered[2])
+
+
 def check_writable(path: Path) -> None:
     """Find out before the work, and not after it, whether a file can be written; makes its folder.
 
@@ -63,8 +75,11 @@ def check_writable(path: Path) -> None:
     if path.is_dir():
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
     path.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryFile(dir=path.parent):
-        pass
+    try:
+        with tempfile.TemporaryFile(dir=path.parent):
+            pass
+    except OSError as error:  # which names the temporary file
+        raise OSError(error.errno, error.strerror, str(path)) from error
 
 
 def chain_of(error: BaseException | None) -> Iterator[BaseException]:

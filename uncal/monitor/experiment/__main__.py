@@ -11,6 +11,7 @@ from omegaconf import DictConfig
 
 from uncal.settings.command_line import quote_arguments
 from uncal.settings.configuration import CONFIG_DIR, exits_on_error, quiet_libraries
+from uncal.settings.guard import task_words
 
 
 @hydra.main(version_base="1.3", config_path=CONFIG_DIR, config_name="monitor")
@@ -32,7 +33,7 @@ def main(config: DictConfig) -> None:
     check_settings(config)
     hydra_config = HydraConfig.get()
     folder = Path(hydra_config.runtime.output_dir)
-    command = command_line("uncal.monitor.experiment", hydra_config.overrides.task)
+    command = command_line("uncal.monitor.experiment", task_words())
     sys.stdout.write(f"\n{run_experiment(config, folder, command)}\n{folder}/monitor.md\n")
 
 

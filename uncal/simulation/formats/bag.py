@@ -147,8 +147,14 @@ def drive_as_bag(root: Path, drive: str, out: Path) -> Path:
 
     Returns:
         The folder.
+
+    Raises:
+        UncalError: no drive, or several, or one that cannot be read.
     """
     recording = KittiRaw(root, drives=[drive])
+    drives = sorted({f"{frame.rig}/{frame.drive}" for frame in recording.frame_ids})
+    if len(drives) > 1:
+        raise ConfigurationError(f"drive={drive}: matches {', '.join(drives)}; give one of them")
     frames = [recording.load(frame_id) for frame_id in recording.frame_ids]
     # ROS 2 counts seconds in 32 bits, which the simulation's dates, in 2041, do not fit into.
     times = [
