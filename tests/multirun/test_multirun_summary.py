@@ -7,13 +7,14 @@ import io
 import json
 from pathlib import Path
 
+import pandas as pd
 import pytest
 
 from uncal.geometry import DOF_NAMES, DOF_UNITS
 from uncal.multirun.frame import summary_csv
 from uncal.multirun.jobs import UNFINISHED, Job, read_jobs, swept_keys
 from uncal.multirun.summary import MultirunRecord, summary_markdown, write_summary
-from uncal.reporting.frames import table, write_csv
+from uncal.reporting.frames import write_csv
 from uncal.reporting.layout import csv_text
 
 COMMAND = "python -m uncal.train -m lidar.beams=16,64 seed=0,1"
@@ -58,7 +59,7 @@ def finished(folder: Path, *overrides: str, seed: int, mpiw: float, ratio: float
     ratios = [ratio] * 5 + [float("nan")]
     rows = [row(j, 90.0, 100.0 - j, mpiw + j, ratios[j]) for j in range(6)]
     rows += [row(j, 99.0, 100.0, float("inf"), ratios[j]) for j in range(6)]
-    write_csv(folder / "results.csv", table(rows))
+    write_csv(folder / "results.csv", pd.DataFrame(rows))
     record = {"label": "simulated street-scene", "seed": seed}
     (folder / "run.json").write_text(json.dumps(record), encoding="utf-8")
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import lru_cache
 from typing import Literal
@@ -30,51 +29,39 @@ _NO_GUARANTEE = {
 }
 
 
-@dataclass(frozen=True)
 class Evaluation:
-    """A test set on the CPU in double precision, with a fitted calibrator; make it with :meth:`of`.
+    """A test set on the CPU in double precision, with a fitted calibrator.
 
-    Attributes:
+    Args:
         mean: (n, 6) estimated decalibration, metres and radians.
         std: (n, 6) σ of the estimate.
         target: (n, 6) true decalibration.
         calibrator: fitted on the uncertainty calibration set.
         groups: n labels, such as the drive or rig of each frame, or None.
         bounds: (n, 6) lower and upper quantile outputs of the network, or None.
+
+    Raises:
+        ValueError: shapes other than (n, 6), no samples, values that are not finite, or not one
+            label per sample.
     """
 
-    mean: Tensor
-    std: Tensor
-    target: Tensor
-    calibrator: IntervalCalibrator
-    groups: tuple[str, ...] | None = None
-    bounds: tuple[Tensor, Tensor] | None = None
-    _intervals: dict[float | Fraction, Intervals] = field(default_factory=dict, repr=False)
-
-    @classmethod
-    def of(
-        cls,
+    def __init__(
+        self,
         mean: Tensor,
         std: Tensor,
         target: Tensor,
         calibrator: IntervalCalibrator,
         groups: Sequence[str] | None = None,
         bounds: tuple[Tensor, Tensor] | None = None,
-    ) -> Evaluation:
-        """Check, move and cast.
-
-        Raises:
-            ValueError: shapes other than (n, 6), no samples, values that are not finite, or not
-                one label per sample.
-        """
-        mean, std, target, *both = in_double(mean, std, target, *(bounds or ()))
+    ) -> None:
+        self.mean, self.std, self.target, *both = in_double(mean, std, target, *(bounds or ()))
         if groups is not None and (isinstance(groups, str) or len(groups) != len(mean)):
             raise ValueError(
                 f"{len(groups)} groups for {len(mean)} samples; give a list of one label each."
             )
-        labels = None if groups is None else tuple(groups)
-        pair = (both[0], both[1]) if both else None
-        return cls(mean, std, target, calibrator, labels, pair)
+        self.calibrator, self.groups = calibrator, groups
+        self.bounds = (both[0], both[1]) if both else None
+        self._intervals: dict[float | Fraction, Intervals] = {}
 
     @property
     def n(self) -> int:

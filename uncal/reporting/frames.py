@@ -164,14 +164,6 @@ PREDICTIONS = Schema(
 TABLES = (RESULTS, JOINT, CONDITIONAL, CURVE, CONTROL, PREDICTIONS)
 
 
-def table(rows: Sequence[Mapping[str, object]]) -> pd.DataFrame:
-    """Rows as a frame."""
-    import pandas as pd
-
-    frame: pd.DataFrame = pd.DataFrame(list(rows))
-    return frame
-
-
 def bound_columns(level: float) -> tuple[str, str]:
     """The two columns of predictions.csv that have a level's intervals.
 
