@@ -165,9 +165,10 @@ def test_cells_and_lines() -> None:
         "camera contributes (%)",
         *("66.7", "0.0", "–", "66.7", "66.7", "66.7"),
     ]
-    (line,) = contribution_line(rows).items()
-    assert line[0] == "Camera contributes (%, 95% interval)"
-    assert line[1].startswith("X 66.7 (50.0 to 75.0), Y 0.0 (0.0 to 0.0), Z – (– to –), Roll ")
+    assert contribution_line(rows).startswith(
+        "Camera contributes (%, 95% interval): "
+        "X 66.7 (50.0 to 75.0), Y 0.0 (0.0 to 0.0), Z – (– to –), Roll "
+    )
     assert contribution_note(rows).endswith("Not shown to need the camera: Y.")
     assert "Not shown" not in contribution_note(rows[rows["dof"] != "Y"])
 

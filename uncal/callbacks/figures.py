@@ -5,9 +5,7 @@ from __future__ import annotations
 import logging
 from pathlib import Path
 
-import cv2
 import lightning
-import numpy as np
 from lightning import LightningModule, Trainer
 
 from uncal.callbacks.pictures import show_picture
@@ -40,13 +38,9 @@ class Figures(lightning.Callback):
             caveat = recorded_caveat(pl_module.recipe)
         for name, draw in figure_makers(self.folder, self.label, caveat).items():
             try:
-                figure = draw()
-                png = None if figure is None else save(figure, self.folder / "figures")[0]
+                if (figure := draw()) is not None:
+                    png, _ = save(figure, self.folder / "figures")
+                    show_picture(trainer, png, f"figure/{name}")
             except Exception as error:
                 # Whatever it is: hours of training must not end here.
                 log.error("figure %s was not drawn: %s: %s", name, type(error).__name__, error)
-                continue
-            picture = None if png is None else cv2.imread(str(png))
-            if picture is not None:
-                rgb = np.asarray(picture[:, :, ::-1], dtype=np.uint8)
-                show_picture(trainer, rgb, f"figure/{name}")

@@ -10,7 +10,7 @@ import torch
 from lightning import LightningModule, Trainer
 from numpy.typing import NDArray
 
-from uncal.callbacks.pictures import keep_picture, sample_panel
+from uncal.callbacks.pictures import keep_overlay
 from uncal.data.datamodule import CalibrationDataModule
 from uncal.data.dataset import Sample, collate
 from uncal.geometry.decalibration import correct
@@ -43,31 +43,29 @@ class Overlays(lightning.Callback):
         for i in np.linspace(0, len(dataset) - 1, count).round().astype(int).tolist():
             sample = dataset[i][0]
             if isinstance(sample, Sample):
-                picture = self._draw(trainer, pl_module, data, sample)
                 name = str(sample.frame)
                 path = self.folder / f"{name.replace('/', '_')}.png"
-                keep_picture(trainer, picture, path, f"overlay/{name}")
+                extrinsics = self._extrinsics(trainer, pl_module, data, sample)
+                keep_overlay(trainer, data, sample, extrinsics, path, f"overlay/{name}")
 
-    def _draw(
+    def _extrinsics(
         self,
         trainer: Trainer,
         module: CalibrationModule,
         data: CalibrationDataModule,
         sample: Sample,
-    ) -> NDArray[np.uint8]:
+    ) -> dict[str, NDArray[np.float64]]:
         inputs = data.on_after_batch_transfer(collate([[sample]]).to(module.device), 0)
         assert inputs is not None
         with torch.inference_mode(), trainer.precision_plugin.forward_context():
-            estimate = module(inputs)
-        T_true = sample.T_cam_lidar.double()
+            estimate = module(inputs).cpu()
         T_init = inputs.T_init[0].cpu().double()
-        T_estimated = correct(T_init, estimate[0].cpu().double())
-        error = pose_errors(estimate.cpu(), inputs.target.cpu(), 0)
+        error = pose_errors(estimate, inputs.target.cpu(), 0)
         before = f"{error.translation_before:.1f} cm, {error.rotation_before:.2f} deg"
         after = f"{error.translation_after:.1f} cm, {error.rotation_after:.2f} deg"
-        extrinsics = {
+        true = f"true extrinsic ({self.label}, rig {sample.frame.rig})"
+        return {
             f"decalibrated: off by {before}": T_init.numpy(),
-            f"estimated: off by {after}": T_estimated.numpy(),
-            f"true extrinsic ({self.label}, rig {sample.frame.rig})": T_true.numpy(),
+            f"estimated: off by {after}": correct(T_init, estimate[0].double()).numpy(),
+            true: sample.T_cam_lidar.double().numpy(),
         }
-        return sample_panel(data, sample, extrinsics)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
+import cv2
 import numpy as np
 import torch
 from lightning import Trainer
@@ -20,14 +21,30 @@ WIDTH_PX = 1000
 """Least width of a picture; small images are enlarged to it."""
 
 
-def sample_panel(
-    data: CalibrationDataModule, sample: Sample, extrinsics: Mapping[str, NDArray[np.float64]]
-) -> NDArray[np.uint8]:
-    """A sample's points on its image or events, one row per extrinsic (caption → (4, 4))."""
+def keep_overlay(
+    trainer: Trainer,
+    data: CalibrationDataModule,
+    sample: Sample,
+    extrinsics: Mapping[str, NDArray[np.float64]],
+    path: Path,
+    tag: str,
+) -> None:
+    """A sample's points on its image or events, as a PNG and in TensorBoard.
+
+    Args:
+        trainer: with the loggers.
+        data: of the sample.
+        sample: whose points and image.
+        extrinsics: caption → (4, 4), one row of the picture each.
+        path: of the PNG; its folder is made if it is not there.
+        tag: in TensorBoard.
+    """
     image = background(data, sample)
     scale = max(1, round(WIDTH_PX / image.shape[1]))
     K = sample.K.double().numpy()
-    return overlay_panel(image, sample.points.numpy(), K, extrinsics, scale)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_image(path, overlay_panel(image, sample.points.numpy(), K, extrinsics, scale))
+    show_picture(trainer, path, tag)
 
 
 def background(data: CalibrationDataModule, sample: Sample) -> NDArray[np.uint8]:
@@ -42,15 +59,10 @@ def background(data: CalibrationDataModule, sample: Sample) -> NDArray[np.uint8]
     )
 
 
-def keep_picture(trainer: Trainer, picture: NDArray[np.uint8], path: Path, tag: str) -> None:
-    """Write a PNG and show it in TensorBoard."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_image(path, picture)
-    show_picture(trainer, picture, tag)
-
-
-def show_picture(trainer: Trainer, picture: NDArray[np.uint8], tag: str) -> None:
-    """Show an RGB picture in TensorBoard, if there is such a logger."""
+def show_picture(trainer: Trainer, path: Path, tag: str) -> None:
+    """Show a PNG in TensorBoard, if there is such a logger."""
     for logger in trainer.loggers:
-        if isinstance(logger, TensorBoardLogger):
-            logger.experiment.add_image(tag, picture, trainer.global_step, dataformats="HWC")
+        picture = cv2.imread(str(path)) if isinstance(logger, TensorBoardLogger) else None
+        if picture is not None:
+            rgb = picture[:, :, ::-1]
+            logger.experiment.add_image(tag, rgb, trainer.global_step, dataformats="HWC")

@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-import csv
-import logging
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import lightning
+import pandas as pd
 from lightning import LightningModule, Trainer
 
 from uncal import __version__
 from uncal.data.datamodule import WINDOWED, CalibrationDataModule
 from uncal.models.module import CalibrationModule
+from uncal.reporting.frames import write_csv
 from uncal.reporting.measure import measure
 from uncal.reporting.report import format_report, write_report
-
-log = logging.getLogger(__name__)
 
 SPREAD_NOTES = {
     "solver": "σ is the covariance of the least-squares solver (mcd.spread=solver).",
@@ -65,7 +63,8 @@ class Report(lightning.Callback):
         notes = [*run_notes(pl_module, data), *skip_notes(data.skipped)]
         paths = write_report(self.folder, run.results, label=self.label, notes=notes)
         if data.skipped:
-            write_skipped(self.folder / "skipped.csv", data.skipped)
+            skipped = pd.DataFrame(sorted(data.skipped.items()), columns=["frame", "reason"])
+            write_csv(self.folder / "skipped.csv", skipped)
         table = format_report(run.results, label=self.label, notes=notes)
         files = "\n".join(str(path) for path in paths)
         sys.stdout.write(f"\n{table}\n\n{files}\n")
@@ -129,11 +128,3 @@ def skip_notes(skipped: Mapping[str, str], shown: int = 10) -> list[str]:
     frames = "1 frame" if len(skipped) == 1 else f"{len(skipped)} frames"
     first = [f"Skipped {frame}: {reason}" for frame, reason in list(skipped.items())[:shown]]
     return [f"{frames} skipped (all in skipped.csv).", *first]
-
-
-def write_skipped(path: Path, skipped: Mapping[str, str]) -> None:
-    """Write frame and reason of every skipped frame."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(["frame", "reason"])
-        writer.writerows(sorted(skipped.items()))

@@ -99,12 +99,13 @@ def interval_metrics(
     )
     metrics.update(intervals.lower, intervals.upper, predicted.target)
     found = metrics.compute()
-    tags = {}
-    for j, (name, unit) in enumerate(zip(DOF_NAMES, DOF_UNITS, strict=True)):
-        tags[f"PICP {level:.0%} (%)/{name}"] = found["PICP"][j] * 100.0
-        for metric in ("MPIW", "IS"):
-            tags[f"{metric} {level:.0%}/{name} ({unit})"] = found[metric][j] * DOF_SCALE[j]
-    return tags
+    tags = {
+        f"{metric} {level:.0%}/{name} ({unit})": found[metric][j] * scale
+        for metric in ("MPIW", "IS")
+        for j, (name, unit, scale) in enumerate(zip(DOF_NAMES, DOF_UNITS, DOF_SCALE, strict=True))
+    }
+    coverage = zip(DOF_NAMES, found["PICP"] * 100.0, strict=True)
+    return tags | {f"PICP {level:.0%} (%)/{name}": share for name, share in coverage}
 
 
 def ours(

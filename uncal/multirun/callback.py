@@ -15,10 +15,10 @@ from hydra.experimental.callback import Callback
 from hydra.types import RunMode, TaskFunction
 from omegaconf import DictConfig
 
+from uncal.multirun.folder import Multirun
 from uncal.multirun.job_process import make_portable, restore_start_method
-from uncal.multirun.jobs import Job
 from uncal.multirun.plan import planned_jobs, share_cores
-from uncal.multirun.summary import CAPTIONS, FIGURES, write_summary
+from uncal.multirun.summary import CAPTIONS, FIGURES, SUMMARY, write_summary
 from uncal.reporting.run import FAILED
 
 log = logging.getLogger(__name__)
@@ -69,34 +69,35 @@ class MultirunSummary(Callback):
             names_it = f"{config.hydra.sweep.dir}/summary.md names it, the other jobs run on"
             log.error("%s\nThis job failed; %s.", reason, names_it)
             make_portable(job_return, reason)
-        jobs = self._write(config)
-        if self._settled(jobs) or time.time() - _modified(captions(config)) > FIGURES_EVERY:
-            self._draw(config)
+        multirun = self._write(config)
+        if self._settled(multirun) or time.time() - _modified(captions(config)) > FIGURES_EVERY:
+            self._draw(config, multirun)
 
     def on_multirun_end(self, config: DictConfig, **kwargs: object) -> None:
         """Write all once more, when all launchers' jobs are done, and say where it is."""
-        jobs = self._write(config)
-        self._draw(config)
-        log.info("summary of %d jobs: %s/summary.md", len(jobs), config.hydra.sweep.dir)
+        multirun = self._write(config)
+        self._draw(config, multirun)
+        log.info("summary of %d jobs: %s/summary.md", len(multirun.jobs), config.hydra.sweep.dir)
 
-    def _write(self, config: DictConfig) -> list[Job]:
+    def _write(self, config: DictConfig) -> Multirun:
         return write_summary(Path(config.hydra.sweep.dir), self.command, self.planned)
 
-    def _settled(self, jobs: list[Job]) -> bool:
-        settled = sum(1 for job in jobs if job.table is not None or job.failed)
+    def _settled(self, multirun: Multirun) -> bool:
+        settled = sum(1 for job in multirun.jobs if job.table is not None or job.failed)
         return self.planned is not None and settled >= len(self.planned)
 
-    def _draw(self, config: DictConfig) -> None:
+    def _draw(self, config: DictConfig, multirun: Multirun) -> None:
         """Figures; whatever goes wrong with them is no reason to lose a job or the summary."""
-        table = Path(config.hydra.sweep.dir) / "summary.csv"
-        if not self.figures or _modified(table) <= _modified(captions(config)):
+        table = Path(config.hydra.sweep.dir) / SUMMARY
+        frame = multirun.frame
+        if not self.figures or frame is None or _modified(table) <= _modified(captions(config)):
             return
         # Matplotlib takes a second to import, and most jobs do not draw.
         from uncal.multirun.board import show_in_tensorboard
         from uncal.multirun.figures import draw_figures
 
         try:
-            pictures = draw_figures(Path(config.hydra.sweep.dir))
+            pictures = draw_figures(table.parent, frame)
             show_in_tensorboard(pictures, table.with_name(FIGURES))
         except Exception:
             log.exception("the figures of %s were not drawn", config.hydra.sweep.dir)

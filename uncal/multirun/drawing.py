@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import cycle
 from typing import Any
 
@@ -16,7 +17,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from uncal.geometry import DOF_NAMES
-from uncal.multirun.sweep import Panel, Sweep, key_name, sentence
+from uncal.multirun.sweep import Quantity, Sweep, key_name, sentence
 from uncal.reporting.evaluation import BAND_CONFIDENCE
 from uncal.reporting.figures.style import (
     BAND_GREY,
@@ -50,6 +51,28 @@ _BAND: dict[str, Any] = {
     "label": f"{100 * BAND_CONFIDENCE:g} % reference band (Beta-Binomial)",
 }
 _MOST_TICKS = 10
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One panel of a figure.
+
+    Attributes:
+        title: what tells it from its neighbours.
+        axis: what the values are.
+        series: label → what is drawn; a DoF has its own look. One without a label is split by the
+            other swept keys.
+        reference: a dotted line at this value.
+        law: whether to shade the reference band at the nominal coverage ``reference``.
+        relative: whether each series is divided by its value in the first row.
+    """
+
+    title: str
+    axis: str
+    series: Mapping[str, Quantity]
+    reference: float | None = None
+    law: bool = False
+    relative: bool = False
 
 
 def lines(sweep: Sweep, panels: Sequence[Panel], columns: int) -> Figure:
@@ -102,8 +125,14 @@ def dots(sweep: Sweep, panels: Sequence[Panel], *, own_bars: bool = False) -> Fi
             if panel.relative:
                 unit = values.loc[values["row"] == 0, "value"].mean()
                 values = values.assign(value=values["value"] / unit)
-            if own_bars:
-                _own_bars(axis, sweep, panel, look, shift)
+            if own_bars:  # the interval that each run gives itself
+                column, level, dofs = panel.series[look["label"]]
+                low, high = (
+                    values["folder"].map(sweep.per_job((f"{column}_{end}", level, dofs)))
+                    for end in ("low", "high")
+                )
+                rows = values["row"] + shift
+                axis.plot([low, high], [rows, rows], color=look["color"], linewidth=1)
             _dot_series(axis, values.assign(row=values["row"] + shift), look, sweep.replicates)
         axis.set_xlabel(f"{panel.axis}\n{panel.title}".strip())
         axis.set_ylabel("")
@@ -151,19 +180,6 @@ def _dot_series(axis: Axes, values: pd.DataFrame, look: Mapping[str, Any], repli
         linestyle="none",
         label=look["label"],
     )
-
-
-def _own_bars(
-    axis: Axes, sweep: Sweep, panel: Panel, look: Mapping[str, Any], shift: float
-) -> None:
-    """The interval that each run gives itself."""
-    column, level, dofs = panel.series[look["label"]]
-    low, high = (
-        sweep.values((f"{column}_{end}", level, dofs)).set_index("row")["value"]
-        for end in ("low", "high")
-    )
-    for row in low.index.intersection(high.index):
-        axis.plot([low[row], high[row]], [row + shift] * 2, color=look["color"], linewidth=1)
 
 
 def _finish_x(sweep: Sweep, axes: Sequence[Axes], columns: int) -> None:

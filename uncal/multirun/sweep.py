@@ -1,10 +1,9 @@
-"""A multirun's summary.csv as its figures need it: jobs grouped once, values per job."""
+"""The jobs of a multirun as its tables and figures need them: grouped once, values per job."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
 from functools import cached_property
 from typing import TypeAlias
 
@@ -12,8 +11,7 @@ import numpy as np
 import pandas as pd
 
 from uncal.geometry import DOF_NAMES
-from uncal.multirun.frame import keys_of, replicates
-from uncal.multirun.tables import groups
+from uncal.multirun.jobs import REPLICATES
 
 KEY_NAMES = {
     "mcd.passes": "stochastic passes",
@@ -33,41 +31,35 @@ Quantity: TypeAlias = tuple[str, float, Sequence[str]]
 """Column, nominal coverage in percent, and the DoF over which to average."""
 
 
-@dataclass(frozen=True)
-class Panel:
-    """One panel of a figure.
-
-    Attributes:
-        title: what tells it from its neighbours.
-        axis: what the values are.
-        series: label → what is drawn; a DoF has its own look. One without a label is split by the
-            other swept keys.
-        reference: a dotted line at this value.
-        law: whether to shade the reference band at the nominal coverage ``reference``.
-        relative: whether each series is divided by its value in the first row.
-    """
-
-    title: str
-    axis: str
-    series: Mapping[str, Quantity]
-    reference: float | None = None
-    law: bool = False
-    relative: bool = False
-
-
 class Sweep:
-    """A multirun's summary, its jobs grouped by the values swept."""
+    """The jobs of a multirun, grouped by the values swept.
+
+    Args:
+        frame: of a :class:`uncal.multirun.folder.Multirun`.
+    """
 
     def __init__(self, frame: pd.DataFrame) -> None:
         self.frame = frame
-        self.keys = keys_of(frame)
+        before = list(frame.columns[: list(frame.columns).index("dof")])
+        self.keys = [name for name in before if name not in REPLICATES]
         self.levels = sorted({float(level) for level in frame["level"]})
         self.label = " and ".join(filter(None, frame["label"].unique()))
-        self.groups = groups(frame)
+        values = {name: frame[key].unique() for key, name in REPLICATES.items() if key in before}
+        # What repeats the experiment: "seeds", "mask seeds" or both, with the values.
+        self.repeated = {
+            name: list(filter(None, found))
+            for name, found in values.items()
+            if len(list(filter(None, found))) > 1
+        }
+        # Without a swept key the folder tells jobs apart, unless it is a seed that does.
+        by = self.keys or ([] if self.repeated else ["folder"])
+        self.groups: dict[tuple[str, ...], list[str]] = {}
+        for row in frame.drop_duplicates("folder")[[*by, "folder"]].itertuples(index=False):
+            group = tuple(map(str, row[: len(by)])) or ("all",)
+            self.groups.setdefault(group, []).append(str(row[-1]))
         self.replicates = max(map(len, self.groups.values()))
-        self.repeated = " and ".join(replicates(frame))
         self.names = [", ".join(values) if self.keys else "all" for values in self.groups]
-        self.words = ", ".join(map(key_name, self.keys)) or self.repeated
+        self.words = ", ".join(map(key_name, self.keys)) or " and ".join(self.repeated)
 
     @cached_property
     def over(self) -> str | None:
@@ -105,19 +97,23 @@ class Sweep:
         if self.replicates == 1:
             return "One run per value."
         return (
-            f"Marks: means over the {self.repeated} ({self.replicates} runs); bands or bars: from "
-            "the lowest to the highest of them."
+            f"Marks: means over the {' and '.join(self.repeated)} ({self.replicates} runs); bands "
+            "or bars: from the lowest to the highest of them."
         )
+
+    def per_job(self, quantity: Quantity, method: str = "mean") -> pd.Series[float]:
+        """Folder → mean over the DoF that have a value; empty where no job has the column."""
+        column, level, dofs = quantity
+        if column not in self.frame.columns:
+            return pd.Series(dtype=float)
+        own = self.frame[(self.frame["level"] == level) & self.frame["dof"].isin(dofs)]
+        found: pd.Series[float] = own.groupby("folder")[column].agg(method)
+        return found
 
     def values(self, quantity: Quantity) -> pd.DataFrame:
         """The jobs with a value: means over the DoF, of groups in which all jobs have one."""
-        column, level, dofs = quantity
-        if column not in self.frame.columns:
-            none: pd.DataFrame = self.jobs.iloc[:0].assign(value=[])
-            return none
-        own = self.frame[(self.frame["level"] == level) & self.frame["dof"].isin(dofs)]
-        means = own.groupby("folder")[column].mean()
-        jobs: pd.DataFrame = self.jobs.assign(value=self.jobs["folder"].map(means).astype(float))
+        means = self.jobs["folder"].map(self.per_job(quantity)).astype(float)
+        jobs: pd.DataFrame = self.jobs.assign(value=means)
         finite = np.isfinite(jobs["value"]).groupby(jobs["row"]).transform("all")
         kept: pd.DataFrame = jobs.loc[finite]
         return kept
@@ -127,9 +123,9 @@ class Sweep:
         low, high = (self.values((f"coverage_{end}", level, DOF_NAMES)) for end in ("low", "high"))
         return low.groupby(by)["value"].min(), high.groupby(by)["value"].max()
 
-    def differs(self, panel: Panel) -> bool:
+    def differs(self, quantities: Iterable[Quantity]) -> bool:
         """Whether there is anything to see: values, and not the same in every row."""
-        means = [self.values(q).groupby("row")["value"].mean() for q in panel.series.values()]
+        means = [self.values(q).groupby("row")["value"].mean() for q in quantities]
         several = len(self.groups) == 1 or any(each.nunique() > 1 for each in means)
         return several and any(len(each) for each in means)
 

@@ -26,7 +26,6 @@ from uncal.reporting.evaluation import Evaluation, Guarantee, percent
 from uncal.reporting.frames import CONDITIONAL, RESULTS, bound_columns
 from uncal.uncertainty.conformal.calibrator import IntervalCalibrator
 from uncal.uncertainty.conformal.ellipsoid import EllipsoidCalibrator, log_volume, mahalanobis
-from uncal.uncertainty.conformal.intervals import Intervals
 from uncal.uncertainty.conformal.quantile import miscoverage
 
 if TYPE_CHECKING:
@@ -154,8 +153,9 @@ def joint_table(
     """One row per level: how often the whole pose is held."""
     import pandas as pd
 
-    frame: pd.DataFrame = pd.DataFrame([_joint_row(test, level, ellipsoid) for level in levels])
-    return frame.assign(n_test=test.n, n_calibration=test.m)
+    rows = pd.DataFrame([_joint_row(test, level, ellipsoid) for level in levels])
+    frame: pd.DataFrame = rows.assign(n_test=test.n, n_calibration=test.m)
+    return frame
 
 
 def conditional_table(
@@ -204,9 +204,10 @@ def conditional_table(
 
 def curve_table(test: Evaluation, levels: Sequence[float] = CURVE_LEVELS) -> pd.DataFrame:
     """The calibration curves: one row per DoF and level, DoF outermost."""
-    return _coverage(test, levels).sort_values(
+    frame: pd.DataFrame = _coverage(test, levels).sort_values(
         "dof", key=lambda names: names.map(DOF_NAMES.index), kind="stable", ignore_index=True
     )
+    return frame
 
 
 def predictions_table(

@@ -48,16 +48,20 @@ class Run:
     Attributes:
         folder: where it is.
         record: content of run.json; empty without one that can be read.
-        tables: of the files that are there; results.csv always is.
         name: such as "Run 2" or "Run 3, job 0", by which a comparison refers to it.
         distinction: what sets it apart from other jobs of its multirun, such as "mcd.passes=5".
     """
 
     folder: Path
     record: Mapping[str, object]
-    tables: Mapping[Schema, pd.DataFrame]
     name: str = ""
     distinction: str = ""
+
+    @cached_property
+    def tables(self) -> Mapping[Schema, pd.DataFrame]:
+        """Those whose files are there, read when first asked for; a damaged one raises."""
+        present = [schema for schema in TABLES if (self.folder / schema.file).is_file()]
+        return {schema: read_csv(self.folder / schema.file, schema) for schema in present}
 
     @property
     def per_dof(self) -> pd.DataFrame:
@@ -140,17 +144,16 @@ class Run:
         return setting(self.settings, key)
 
 
-def read_run(folder: Path, name: str = "", distinction: str = "") -> Run:
+def read_run(folder: Path, name: str = "") -> Run:
     """Read what a run has left; only results.csv must be there.
 
     Raises:
         UncalError: the run failed, there are no results, or a file is damaged.
     """
-    if (folder / FAILED).is_file():
-        reason = " ".join((folder / FAILED).read_text(encoding="utf-8").split())
+    if (reason := why_failed(folder)) is not None:
         raise UncalError(
-            f"{folder}: this run failed ({reason or 'for a reason unknown'}), so it has nothing to "
-            "compare. Run it again, or leave it out."
+            f"{folder}: this run failed ({reason}), so it has nothing to compare. Run it again, or "
+            "leave it out."
         )
     if not (folder / RESULTS.file).is_file():
         raise UncalError(
@@ -158,9 +161,17 @@ def read_run(folder: Path, name: str = "", distinction: str = "") -> Run:
             "folder that python -m uncal.train or uncal.evaluate has written and named at its end, "
             "or a multirun's folder with such folders in it."
         )
-    present = [schema for schema in TABLES if (folder / schema.file).is_file()]
-    tables = {schema: read_csv(folder / schema.file, schema) for schema in present}
-    return Run(folder, read_record(folder) or {}, tables, name, distinction)
+    run = Run(folder, read_record(folder) or {}, name)
+    _ = run.tables  # a damaged one is named here
+    return run
+
+
+def why_failed(folder: Path) -> str | None:
+    """The reason in one line why a job of a multirun failed; None if it did not."""
+    path = folder / FAILED
+    if not path.is_file():
+        return None
+    return " ".join(path.read_text(encoding="utf-8").split()) or "for a reason unknown"
 
 
 def setting(settings: Mapping[str, object], key: str) -> str | None:

@@ -22,37 +22,18 @@ class RunRecord:
 
     Args:
         folder: of the run.
-        command: that starts this run, and no other of its multirun.
-        settings: all that another process needs to repeat it, as plain values.
-        label: what the data are.
-        seed: the run's.
-        device: such as cpu or cuda.
         request: digest of everything that decides the results.
+        about: what the run is, as plain values: ``command`` (starts this run, and no other of its
+            multirun), ``label`` of the data, ``seed``, ``device``, and the ``settings`` that
+            another process needs to repeat it.
     """
 
-    def __init__(
-        self,
-        folder: Path,
-        command: str,
-        settings: Mapping[str, object],
-        label: str,
-        seed: int,
-        device: str,
-        request: str,
-    ) -> None:
+    def __init__(self, folder: Path, request: str, **about: object) -> None:
         self.path = folder / NAME
         self.request = request
         self._began = time.monotonic()
-        self._content = {
-            "command": command,
-            "label": label,
-            "seed": seed,
-            "commit": commit_of_code(),
-            "version": __version__,
-            "device": device,
-            "request": request,
-            "settings": dict(settings),
-        }
+        own = {"commit": commit_of_code(), "version": __version__, "request": request}
+        self._content = {**about, **own}
 
     def begin(self) -> None:
         """Take away what an earlier run of other settings left in the folder.
