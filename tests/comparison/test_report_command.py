@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from uncal.geometry import DOF_NAMES
 from uncal.multirun.summary import write_summary
 from uncal.report import main
-from uncal.reporting.figures.named import NamedFigure, save
+from uncal.reporting.figures.style import NamedFigure, save
 from uncal.reporting.published.paper import published_paper
 
 MakeRun = Callable[..., Path]

@@ -14,7 +14,7 @@ from matplotlib.lines import Line2D
 
 from uncal.geometry import DOF_NAMES
 from uncal.multirun.figures import draw_figures, sweep_figures
-from uncal.reporting.figures.named import NamedFigure
+from uncal.reporting.figures.style import NamedFigure
 
 Value = str | float
 

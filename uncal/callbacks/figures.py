@@ -10,8 +10,8 @@ from lightning import LightningModule, Trainer
 
 from uncal.callbacks.pictures import show_picture
 from uncal.models.module import CalibrationModule
-from uncal.reporting.figures.named import save
 from uncal.reporting.figures.run_figures import figure_makers
+from uncal.reporting.figures.style import save
 from uncal.reporting.run import recorded_caveat
 
 log = logging.getLogger(__name__)

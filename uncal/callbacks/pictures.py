@@ -62,7 +62,6 @@ def background(data: CalibrationDataModule, sample: Sample) -> NDArray[np.uint8]
 def show_picture(trainer: Trainer, path: Path, tag: str) -> None:
     """Show a PNG in TensorBoard, if there is such a logger."""
     for logger in trainer.loggers:
-        picture = cv2.imread(str(path)) if isinstance(logger, TensorBoardLogger) else None
-        if picture is not None:
-            rgb = picture[:, :, ::-1]
-            logger.experiment.add_image(tag, rgb, trainer.global_step, dataformats="HWC")
+        if isinstance(logger, TensorBoardLogger) and (picture := cv2.imread(str(path))) is not None:
+            rgb, step = picture[:, :, ::-1], trainer.global_step
+            logger.experiment.add_image(tag, rgb, step, dataformats="HWC")

@@ -63,8 +63,7 @@ class Report(lightning.Callback):
         notes = [*run_notes(pl_module, data), *skip_notes(data.skipped)]
         paths = write_report(self.folder, run.results, label=self.label, notes=notes)
         if data.skipped:
-            skipped = pd.DataFrame(sorted(data.skipped.items()), columns=["frame", "reason"])
-            write_csv(self.folder / "skipped.csv", skipped)
+            write_skipped(self.folder / "skipped.csv", data.skipped)
         table = format_report(run.results, label=self.label, notes=notes)
         files = "\n".join(str(path) for path in paths)
         sys.stdout.write(f"\n{table}\n\n{files}\n")
@@ -96,16 +95,16 @@ def run_notes(module: CalibrationModule, data: CalibrationDataModule) -> list[st
         notes.append(data.split_note)
     tested = {frame.rig for frame in data.named("test")}
     others = [ids for name, ids in data.splits.items() if name != "test"]
-    if tested.isdisjoint(frame.rig for ids in others for frame in ids):
+    held_out = tested.isdisjoint(frame.rig for ids in others for frame in ids)
+    came_from = (
+        f"The test frames come from {len(tested)} held-out rig(s), absent from training and "
+        "calibration. "
+    )
+    if held_out or data.split_by != "frame":
         notes.append(
-            f"The test frames come from {len(tested)} held-out rig(s), absent from training and "
-            "calibration. Frames of one rig are dependent, so the reference band, which assumes "
-            "exchangeable frames, is for reference only here."
-        )
-    elif data.split_by != "frame":
-        notes.append(
-            "Frames of one drive are dependent, so the reference band, which assumes exchangeable "
-            "frames, is for reference only here."
+            f"{came_from if held_out else ''}Frames of one {'rig' if held_out else 'drive'} are "
+            "dependent, so the reference band, which assumes exchangeable frames, is for reference "
+            "only here."
         )
     return [*notes, *module.run.notes]
 
@@ -128,3 +127,8 @@ def skip_notes(skipped: Mapping[str, str], shown: int = 10) -> list[str]:
     frames = "1 frame" if len(skipped) == 1 else f"{len(skipped)} frames"
     first = [f"Skipped {frame}: {reason}" for frame, reason in list(skipped.items())[:shown]]
     return [f"{frames} skipped (all in skipped.csv).", *first]
+
+
+def write_skipped(path: Path, skipped: Mapping[str, str]) -> None:
+    """Write frame and reason of every skipped frame."""
+    write_csv(path, pd.DataFrame(sorted(skipped.items()), columns=["frame", "reason"]))

@@ -20,7 +20,8 @@ class SettingsWithResults(lightning.Callback):
             return
         if not isinstance(pl_module, CalibrationModule) or pl_module.run.results is None:
             return
-        (settings,) = pd.json_normalize([pl_module.recipe]).to_dict("records")  # by dotted key
+        recipe = pd.json_normalize([pl_module.recipe]).iloc[0]  # by dotted key
+        settings = {str(key): value for key, value in recipe.items()}
         result = {"result/mean ratio": float(pl_module.run.results.summary.mean_ratio)}
         for logger in trainer.loggers:
             if isinstance(logger, TensorBoardLogger):

@@ -14,7 +14,7 @@ from uncal.multirun.folder import Multirun
 from uncal.reporting.run import Run
 
 if TYPE_CHECKING:
-    from uncal.reporting.figures.named import NamedFigure
+    from uncal.reporting.figures.style import NamedFigure
 
 FOLDER = "figures"
 
@@ -77,7 +77,7 @@ def _stored(path: Path, origin: str) -> Picture:
 
 
 def _drawn(figure: NamedFigure, origin: str) -> Picture:
-    from uncal.reporting.figures.named import PNG_DPI
+    from uncal.reporting.figures.style import PNG_DPI
 
     buffer = io.BytesIO()
     figure.figure.savefig(buffer, format="png", dpi=PNG_DPI)

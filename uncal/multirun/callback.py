@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import logging
+import multiprocessing
+import pickle
 import shlex
 import sys
 import time
@@ -15,10 +17,9 @@ from hydra.experimental.callback import Callback
 from hydra.types import RunMode, TaskFunction
 from omegaconf import DictConfig
 
-from uncal.multirun.folder import Multirun
-from uncal.multirun.job_process import make_portable, restore_start_method
+from uncal.multirun.folder import FIGURES, SUMMARY, Multirun
 from uncal.multirun.plan import planned_jobs, share_cores
-from uncal.multirun.summary import CAPTIONS, FIGURES, SUMMARY, write_summary
+from uncal.multirun.summary import write_summary
 from uncal.reporting.run import FAILED
 
 log = logging.getLogger(__name__)
@@ -70,38 +71,55 @@ class MultirunSummary(Callback):
             log.error("%s\nThis job failed; %s.", reason, names_it)
             make_portable(job_return, reason)
         multirun = self._write(config)
-        if self._settled(multirun) or time.time() - _modified(captions(config)) > FIGURES_EVERY:
-            self._draw(config, multirun)
+        settled = sum(1 for job in multirun.jobs if job.table is not None or job.failed)
+        last = self.planned is not None and settled >= len(self.planned)
+        if last or time.time() - _modified(multirun.captions) > FIGURES_EVERY:
+            self._draw(multirun)
 
     def on_multirun_end(self, config: DictConfig, **kwargs: object) -> None:
         """Write all once more, when all launchers' jobs are done, and say where it is."""
         multirun = self._write(config)
-        self._draw(config, multirun)
-        log.info("summary of %d jobs: %s/summary.md", len(multirun.jobs), config.hydra.sweep.dir)
+        self._draw(multirun)
+        log.info("summary of %d jobs: %s/summary.md", len(multirun.jobs), multirun.folder)
 
     def _write(self, config: DictConfig) -> Multirun:
         return write_summary(Path(config.hydra.sweep.dir), self.command, self.planned)
 
-    def _settled(self, multirun: Multirun) -> bool:
-        settled = sum(1 for job in multirun.jobs if job.table is not None or job.failed)
-        return self.planned is not None and settled >= len(self.planned)
-
-    def _draw(self, config: DictConfig, multirun: Multirun) -> None:
+    def _draw(self, multirun: Multirun) -> None:
         """Figures; whatever goes wrong with them is no reason to lose a job or the summary."""
-        table = Path(config.hydra.sweep.dir) / SUMMARY
-        frame = multirun.frame
-        if not self.figures or frame is None or _modified(table) <= _modified(captions(config)):
+        frame, folder = multirun.frame, multirun.folder
+        drawn = _modified(folder / SUMMARY) <= _modified(multirun.captions)
+        if not self.figures or frame is None or drawn:
             return
         # Matplotlib takes a second to import, and most jobs do not draw.
-        from uncal.multirun.board import show_in_tensorboard
-        from uncal.multirun.figures import draw_figures
+        from uncal.multirun.figures import draw_figures, show_in_tensorboard
 
         try:
-            pictures = draw_figures(table.parent, frame)
-            show_in_tensorboard(pictures, table.with_name(FIGURES))
+            show_in_tensorboard(draw_figures(folder, frame), folder / FIGURES)
         except Exception:
-            log.exception("the figures of %s were not drawn", config.hydra.sweep.dir)
-        self._write(config)  # shows them
+            log.exception("the figures of %s were not drawn", folder)
+        write_summary(folder, self.command, self.planned)  # shows them
+
+
+def restore_start_method() -> None:
+    """Let a job start processes as anywhere else; does nothing outside joblib's processes.
+
+    Joblib's library loky makes itself the way in which its processes start others. Those that load
+    data or simulate then end at once: ``ValueError: cannot find context for 'loky'``.
+    """
+    if multiprocessing.get_start_method(allow_none=True) == "loky":
+        multiprocessing.set_start_method(None, force=True)  # the default
+
+
+def make_portable(job_return: JobReturn, reason: str) -> None:
+    """Replace an error that cannot travel from the job's process to the launcher's.
+
+    One such error would make the launcher give up on the jobs still to come.
+    """
+    try:
+        pickle.loads(pickle.dumps(job_return._return_value))
+    except Exception:
+        job_return.return_value = CompactHydraException(reason)
 
 
 def is_multirun(config: DictConfig) -> bool:
@@ -127,11 +145,6 @@ def failure(job_return: JobReturn) -> str:
         _let_go(error)
         return reason
     return ""
-
-
-def captions(config: DictConfig) -> Path:
-    """The file that is written when all figures of a multirun are drawn."""
-    return Path(config.hydra.sweep.dir) / FIGURES / CAPTIONS
 
 
 def _modified(path: Path) -> float:

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+import cv2
 import pandas as pd
+from torch.utils.tensorboard import SummaryWriter
 
 from uncal.geometry import DOF_NAMES, DOF_UNITS
 from uncal.multirun.drawing import COLOURS, Panel, dots, lines
-from uncal.multirun.summary import CAPTIONS, FIGURES, read_captions
+from uncal.multirun.folder import CAPTIONS, FIGURES, read_captions
 from uncal.multirun.sweep import Quantity, Sweep, key_name
 from uncal.reporting.evaluation import BAND_CONFIDENCE
-from uncal.reporting.figures.named import NamedFigure, save
-from uncal.reporting.figures.style import paper_style
+from uncal.reporting.figures.style import NamedFigure, paper_style, save
 from uncal.reporting.frames import write_csv
 
 _KINDS = (("Translation", DOF_UNITS[0], DOF_NAMES[:3]), ("Rotation", DOF_UNITS[3], DOF_NAMES[3:]))
@@ -77,6 +78,17 @@ def draw_figures(folder: Path, frame: pd.DataFrame) -> list[Path]:
     return paths
 
 
+def show_in_tensorboard(pictures: Sequence[Path], folder: Path) -> None:
+    """Write pictures into one TensorBoard file of their own, in place of an earlier one."""
+    for earlier in folder.glob("events.out.tfevents.*"):
+        earlier.unlink(missing_ok=True)
+    with SummaryWriter(str(folder)) as writer:
+        for path in pictures:
+            picture = cv2.imread(str(path))
+            if picture is not None:
+                writer.add_image(f"multirun/{path.stem}", picture[:, :, ::-1], dataformats="HWC")
+
+
 def _figures(sweep: Sweep) -> Iterator[NamedFigure]:
     as_lines = sweep.over is not None and len(sweep.others) <= len(COLOURS)
     by_dof = not (as_lines and sweep.others)
@@ -96,7 +108,7 @@ def _figures(sweep: Sweep) -> Iterator[NamedFigure]:
                 yield figure(name, title, caption + "over roll, pitch, yaw to the right.", panels)
     axis = "Empirical coverage (%)"
     coverage = [
-        Panel(f"{v:g} % intervals", axis, series, reference=v, law=by_dof)
+        Panel(f"{v:g} % intervals", axis, series, reference=v, law=v if by_dof else None)
         for v in sweep.levels
         for series in [_by_dof("picp", v) if by_dof else {"": ("picp", v, DOF_NAMES)}]
     ]

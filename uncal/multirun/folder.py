@@ -16,6 +16,12 @@ from uncal.reporting.run import UNKNOWN, Run
 if TYPE_CHECKING:
     import pandas as pd
 
+SUMMARY = "summary.csv"
+
+FIGURES = "figures"
+CAPTIONS = "captions.csv"
+"""In the folder of figures: name, title and caption of each, written when all are drawn."""
+
 RECORD = "multirun.json"
 """Beside the summary: the command, and the jobs that were planned."""
 
@@ -67,6 +73,11 @@ class Multirun:
         content = {"command": self.command, "planned": self.planned}
         text = json.dumps(content, indent=1, ensure_ascii=False)
         write_whole(self.folder / RECORD, f"{text}\n")
+
+    @property
+    def captions(self) -> Path:
+        """The file of captions."""
+        return self.folder / FIGURES / CAPTIONS
 
     @cached_property
     def found(self) -> list[Job]:
@@ -154,3 +165,11 @@ class Multirun:
         used["weights"] |= any("fingerprint" in job.weights for job in self.jobs)
         kept: pd.DataFrame = text.loc[:, used]
         return kept.to_csv(index=False, lineterminator="\n")
+
+
+def read_captions(folder: Path) -> list[tuple[str, str, str]]:
+    """Name, title and caption of the figures in a multirun's folder."""
+    import pandas as pd
+
+    path = folder / FIGURES / CAPTIONS
+    return list(pd.read_csv(path).itertuples(index=False, name=None)) if path.is_file() else []

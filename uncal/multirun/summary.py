@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from uncal.multirun.folder import Multirun, Planned
+from uncal.multirun.folder import FIGURES, SUMMARY, Multirun, Planned, read_captions
 from uncal.multirun.jobs import REPLICATES, STATE, job_folders, shown, swept_keys
 from uncal.reporting.layout import write_whole
 from uncal.reporting.sections import Section
@@ -17,12 +17,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from uncal.multirun.sweep import Sweep
-
-SUMMARY = "summary.csv"
-
-FIGURES = "figures"
-CAPTIONS = "captions.csv"
-"""In the folder of figures: name, title and caption of each."""
 
 _NOTES = (
     "MPIW: mean width of the intervals. PICP: empirical coverage. IS: interval score, the lower "
@@ -107,14 +101,6 @@ def summary_sections(multirun: Multirun) -> list[Section]:
     if without := _without_results(multirun):
         sections.append(Section(_WITHOUT_RESULTS, [], without))
     return [Section("Jobs", [], _job_notes(multirun, sweep)), *sections]
-
-
-def read_captions(folder: Path) -> list[tuple[str, str, str]]:
-    """Name, title and caption of the figures in a multirun's folder."""
-    import pandas as pd
-
-    path = folder / FIGURES / CAPTIONS
-    return list(pd.read_csv(path).itertuples(index=False, name=None)) if path.is_file() else []
 
 
 def continuation(command: str, folder: Path) -> str:

@@ -44,13 +44,10 @@ class Sweep:
         self.keys = [name for name in before if name not in REPLICATES]
         self.levels = sorted({float(level) for level in frame["level"]})
         self.label = " and ".join(filter(None, frame["label"].unique()))
-        values = {name: frame[key].unique() for key, name in REPLICATES.items() if key in before}
+        found = {REPLICATES[key]: frame[key].unique() for key in before if key in REPLICATES}
+        seeds = {name: [value for value in values if value] for name, values in found.items()}
         # What repeats the experiment: "seeds", "mask seeds" or both, with the values.
-        self.repeated = {
-            name: list(filter(None, found))
-            for name, found in values.items()
-            if len(list(filter(None, found))) > 1
-        }
+        self.repeated = {name: values for name, values in seeds.items() if len(values) > 1}
         # Without a swept key the folder tells jobs apart, unless it is a seed that does.
         by = self.keys or ([] if self.repeated else ["folder"])
         self.groups: dict[tuple[str, ...], list[str]] = {}
@@ -64,26 +61,19 @@ class Sweep:
     @cached_property
     def over(self) -> str | None:
         """The swept number with the most values; None if there is none with two."""
-        counts = {k: self.frame[k].nunique() for k in self.keys if _numbers(self.frame[k])}
-        most = max(counts, key=lambda key: counts[key], default=None)  # the first of several
-        return most if most is not None and counts[most] > 1 else None
+        numbers = self.frame[self.keys].apply(pd.to_numeric, errors="coerce")
+        counts = numbers.loc[:, numbers.notna().all()].nunique()
+        return str(counts.idxmax()) if counts.max() > 1 else None  # the first of several
 
     @cached_property
     def jobs(self) -> pd.DataFrame:
         """Per job: folder, row (of the group), x (value of the number), others (other keys)."""
-        rest = [i for i, key in enumerate(self.keys) if key != self.over]
-        jobs: pd.DataFrame = pd.DataFrame(
-            [
-                {
-                    "folder": folder,
-                    "row": row,
-                    "x": float(values[self.keys.index(self.over)]) if self.over else math.nan,
-                    "others": ", ".join(values[i] for i in rest) if self.keys else "",
-                }
-                for row, (values, folders) in enumerate(self.groups.items())
-                for folder in folders
-            ]
-        )
+        rows = []
+        for row, (values, folders) in enumerate(self.groups.items()):
+            swept = dict(zip(self.keys, values, strict=False))
+            x = float(swept.pop(self.over)) if self.over else math.nan
+            rows += [(folder, row, x, ", ".join(swept.values())) for folder in folders]
+        jobs: pd.DataFrame = pd.DataFrame(rows, columns=["folder", "row", "x", "others"])
         return jobs
 
     @property
@@ -142,11 +132,3 @@ def sentence(words: str) -> str:
     ('Stochastic passes', 'trainer.max_epochs')
     """
     return words if "." in words else words[:1].upper() + words[1:]
-
-
-def _numbers(values: pd.Series[str]) -> bool:
-    try:
-        values.astype(float)
-    except ValueError:
-        return False
-    return True

@@ -32,6 +32,8 @@ _NO_GUARANTEE = {
 class Evaluation:
     """A test set on the CPU in double precision, with a fitted calibrator.
 
+    It has n samples, the uncertainty calibration set had m.
+
     Args:
         mean: (n, 6) estimated decalibration, metres and radians.
         std: (n, 6) σ of the estimate.
@@ -61,22 +63,9 @@ class Evaluation:
             )
         self.calibrator, self.groups = calibrator, groups
         self.bounds = (both[0], both[1]) if both else None
+        self.n, self.m = len(mean), int(calibrator.count)
+        self.guarantee = guarantee_of(type(calibrator))
         self._intervals: dict[float | Fraction, Intervals] = {}
-
-    @property
-    def n(self) -> int:
-        """Samples of the test set."""
-        return len(self.target)
-
-    @property
-    def m(self) -> int:
-        """Samples of the uncertainty calibration set."""
-        return int(self.calibrator.count)
-
-    @property
-    def guarantee(self) -> Guarantee:
-        """What the interval method guarantees."""
-        return guarantee_of(type(self.calibrator))
 
     def intervals(self, level: float | Fraction) -> Intervals:
         """The intervals per DoF at a level in (0, 1), computed once."""

@@ -122,15 +122,11 @@ def per_dof_table(test: Evaluation, levels: Sequence[float]) -> pd.DataFrame:
     frame = _coverage(test, levels)
     before = test.target.abs().mean(0) * _SCALE
     after = (test.target - test.mean).abs().mean(0) * _SCALE
-    widths, scores = [], []
-    for level in levels:
-        made = test.intervals(level)
-        alpha = float(miscoverage(level))
-        widths.append(mpiw(made.lower, made.upper) * _SCALE)
-        scores.append(interval_score(made.lower, made.upper, test.target, alpha) * _SCALE)
+    made = [(test.intervals(level), float(miscoverage(level))) for level in levels]
+    scores = [interval_score(i.lower, i.upper, test.target, alpha) for i, alpha in made]
     measured = {
-        "mpiw": torch.stack(widths),
-        "is": torch.stack(scores),
+        "mpiw": torch.stack([mpiw(i.lower, i.upper) for i, _ in made]) * _SCALE,
+        "is": torch.stack(scores) * _SCALE,
         "mae_before": before.repeat(len(levels)),
         "mae_after": after.repeat(len(levels)),
         "ratio": (after / before.where(before > 0, math.nan)).repeat(len(levels)),

@@ -8,28 +8,10 @@ from collections.abc import Sequence
 from fractions import Fraction
 from pathlib import Path
 
+from uncal.reporting import frames, sections
 from uncal.reporting.evaluation import BAND_CONFIDENCE
-from uncal.reporting.frames import (
-    CONDITIONAL,
-    CONTROL,
-    CURVE,
-    JOINT,
-    PREDICTIONS,
-    RESULTS,
-    write_csv,
-)
 from uncal.reporting.layout import aligned_lines, markdown_lines, number, write_whole
 from uncal.reporting.measure import Results
-from uncal.reporting.sections import (
-    OUTSIDE,
-    conditional_section,
-    contribution_line,
-    contribution_note,
-    control_section,
-    curve_section,
-    joint_section,
-    main_grid,
-)
 from uncal.uncertainty.conformal.quantile import samples_needed
 
 TERMINAL_WIDTH = 110
@@ -71,19 +53,19 @@ def write_report(
     """
     folder.mkdir(parents=True, exist_ok=True)
     tables = {
-        RESULTS: results.per_dof,
-        JOINT: results.joint,
-        CONDITIONAL: results.conditional,
-        CURVE: results.curve,
-        CONTROL: results.control,
-        PREDICTIONS: results.predictions,
+        frames.RESULTS: results.per_dof,
+        frames.JOINT: results.joint,
+        frames.CONDITIONAL: results.conditional,
+        frames.CURVE: results.curve,
+        frames.CONTROL: results.control,
+        frames.PREDICTIONS: results.predictions,
     }
     written = []
     for schema, frame in tables.items():
         if frame is None:
             (folder / schema.file).unlink(missing_ok=True)
         else:
-            written.append(write_csv(folder / schema.file, frame))
+            written.append(frames.write_csv(folder / schema.file, frame))
     written.insert(1, write_whole(folder / "results.md", _markdown(results, label, notes)))
     return tuple(written)
 
@@ -91,15 +73,15 @@ def write_report(
 def format_report(results: Results, *, label: str, notes: Sequence[str] = ()) -> str:
     """The main table and that of the whole pose as plain text, :data:`TERMINAL_WIDTH` wide."""
     control = results.control
-    grid = main_grid(results.per_dof, control, results.guarantee == "exact")
+    grid = sections.main_grid(results.per_dof, control, results.guarantee == "exact")
     heading = f"Results on {label} data"
     gaps = [index for index, line in enumerate(grid) if " PICP" in line[0]]
     lines = [heading, "=" * len(heading), _sizes(results), "", *aligned_lines(grid, gaps=gaps), ""]
     lines += _wrapped(_summary_lines(results))
-    lines += _wrapped([] if control is None else [contribution_line(control)])
+    lines += _wrapped([] if control is None else [sections.contribution_line(control)])
     lines += _wrapped(_explanations(results))
-    lines += _wrapped([*([] if control is None else [contribution_note(control)]), *notes])
-    pose = joint_section(results.joint, results.guarantee)
+    lines += _wrapped([*([] if control is None else [sections.contribution_note(control)]), *notes])
+    pose = sections.joint_section(results.joint, results.guarantee)
     lines += ["", pose.title, "-" * len(pose.title), *aligned_lines(pose.grid), ""]
     return "\n".join([*lines, *_wrapped(pose.notes)])
 
@@ -111,15 +93,17 @@ def _markdown(results: Results, label: str, notes: Sequence[str]) -> str:
     paragraphs = [
         f"# Results on {label} data",
         _sizes(results),
-        "\n".join(markdown_lines(main_grid(results.per_dof, control, guarantee == "exact"))),
+        "\n".join(
+            markdown_lines(sections.main_grid(results.per_dof, control, guarantee == "exact"))
+        ),
         "\n".join(f"- {text}" for text in _summary_lines(results)),
         "\n".join(f"- {text}" for text in explained),
     ]
     for section in (
-        *([] if control is None else [control_section(control)]),
-        joint_section(results.joint, guarantee),
-        conditional_section(results.conditional),
-        curve_section(results.curve, guarantee),
+        *([] if control is None else [sections.control_section(control)]),
+        sections.joint_section(results.joint, guarantee),
+        sections.conditional_section(results.conditional),
+        sections.curve_section(results.curve, guarantee),
     ):
         paragraphs += section.markdown()
     return "\n\n".join(paragraphs) + "\n"
@@ -161,7 +145,7 @@ def _explanations(results: Results) -> list[str]:
         "exchangeable."
     ]
     if not all(rows["in_band"]):
-        lines.append(OUTSIDE)
+        lines.append(sections.OUTSIDE)
     m = results.summary.n_calibration
     for level in infinite:
         needed = samples_needed(1 - Fraction(str(level)) / 100)

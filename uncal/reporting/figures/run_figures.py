@@ -7,11 +7,9 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from uncal.reporting.figures.calibration_curves import calibration_curves
-from uncal.reporting.figures.joint_coverage import joint_coverage
-from uncal.reporting.figures.named import NamedFigure
-from uncal.reporting.figures.ordered_intervals import ordered_intervals
-from uncal.reporting.figures.width_against_error import width_against_error
+from uncal.reporting.figures.coverage import calibration_curves, joint_coverage
+from uncal.reporting.figures.predictions import ordered_intervals, width_against_error
+from uncal.reporting.figures.style import NamedFigure
 from uncal.reporting.frames import CURVE, JOINT, PREDICTIONS, Schema, read_csv
 from uncal.reporting.run import recorded_caveat
 from uncal.reporting.run_record import read_record

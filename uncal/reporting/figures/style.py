@@ -1,9 +1,12 @@
-"""How figures look: sizes of a paper's columns, and colours that the colour-blind tell apart."""
+"""How figures look (sizes, colours that the colour-blind tell apart), and how they become files."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import logging
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
@@ -14,6 +17,9 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.legend import Legend
 
 from uncal.geometry import DOF_NAMES
+from uncal.reporting.layout import replaced_whole
+
+PNG_DPI = 200
 
 SINGLE_COLUMN, DOUBLE_COLUMN = 3.4, 7.0
 """Widths of a paper's column and page, inches."""
@@ -27,6 +33,9 @@ GREY = "#595959"
 
 BAND_GREY = "#D9D9D9"
 """Of shaded bands that stand for theory."""
+
+REFERENCE: Mapping[str, Any] = MappingProxyType({"color": GREY, "linewidth": 0.8, "linestyle": ":"})
+"""Look of a line at what should be."""
 
 DOF_COLOURS = MappingProxyType(
     dict(zip(DOF_NAMES, (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY), strict=True))
@@ -136,3 +145,49 @@ def shared_legend(figure: Figure, panels: Iterable[Axes]) -> Legend:
         columnspacing=1.4,
         handletextpad=0.5,
     )
+
+
+@dataclass(frozen=True)
+class NamedFigure:
+    """A figure that has not been written yet.
+
+    Attributes:
+        name: file stem, such as "calibration_curves".
+        title: heading where the figure stands on a page.
+        caption: one or a few sentences on how to read it.
+        figure: of :func:`new_figure`.
+    """
+
+    name: str
+    title: str
+    caption: str
+    figure: Figure
+
+
+def save(figure: NamedFigure, folder: Path) -> tuple[Path, Path]:
+    """Write a figure for the screen (PNG) and for a paper (PDF), each whole or not at all.
+
+    The same figure gives the same bytes: no file carries the time of its making.
+
+    Returns:
+        ``<folder>/<name>.png`` and ``<folder>/<name>.pdf``.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    png, pdf = (folder / f"{figure.name}.{kind}" for kind in ("png", "pdf"))
+    drawn = figure.figure
+    fonts = logging.getLogger("fontTools")  # tells a hundred lines for every font in a PDF
+    level = fonts.level
+    fonts.setLevel(logging.WARNING)
+    with paper_style():
+        with replaced_whole(png) as partial:
+            about = {"Title": figure.title, "Description": figure.caption}
+            drawn.savefig(partial, format="png", dpi=PNG_DPI, metadata=about)
+        # The panels stand where they should by now, and to place them is a third of the work.
+        layout = drawn.get_layout_engine()
+        drawn.set_layout_engine("none")
+        with replaced_whole(pdf) as partial:
+            subject = {"Title": figure.title, "Subject": figure.caption, "CreationDate": None}
+            drawn.savefig(partial, format="pdf", dpi=PNG_DPI, metadata=subject)
+        drawn.set_layout_engine(layout)
+    fonts.setLevel(level)
+    return png, pdf
