@@ -81,7 +81,7 @@ def test_the_processes_inherit_it(
 ) -> None:
     monkeypatch.setenv("OMP_NUM_THREADS", "")  # so that it is put back as it was
     monkeypatch.delenv("OMP_NUM_THREADS")
-    monkeypatch.setattr("uncal.multirun.plan._cores", lambda: 2)
+    monkeypatch.setattr("joblib.cpu_count", lambda: 2)
     config = multirun("mcd.passes=5,10,25", f"hydra/launcher={launcher}")
     share_cores(config, planned_jobs(config))
     assert os.environ.get("OMP_NUM_THREADS") == expected

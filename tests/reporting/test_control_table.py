@@ -16,6 +16,7 @@ from uncal.inference.control import ControlPrediction
 from uncal.metrics.bootstrap import bootstrap_ratio
 from uncal.recordings.frame import FrameId
 from uncal.reporting.control import blind_dofs, control_table, resampling_groups
+from uncal.reporting.evaluation import Evaluation
 from uncal.reporting.frames import CONTROL
 from uncal.reporting.measure import Results, measure
 from uncal.reporting.report import TERMINAL_WIDTH, format_report, write_report
@@ -67,7 +68,7 @@ def measured(with_control: bool = True) -> Results:
     mean, std, target = predicted(200)
     control = control_of(target) if with_control else None
     names = [f"rig/drive/{i:010d}" for i in range(200)] if with_control else None
-    return measure(mean, std, target, calibrator, LEVELS, control=control, frames=names)
+    return measure(Evaluation(mean, std, target, calibrator), LEVELS, control=control, frames=names)
 
 
 def test_rows_by_hand() -> None:

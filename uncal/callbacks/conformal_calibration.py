@@ -69,12 +69,6 @@ class ConformalCalibration(lightning.Callback):
     def calibrate(self, module: LightningModule) -> IntervalCalibrator:
         """Fit on the calibration dataloader; to be called again after other weights are loaded.
 
-        Args:
-            module: trained.
-
-        Returns:
-            The calibrator.
-
         Raises:
             UncertaintyError: no batch, or predictions that do not fit the targets.
         """

@@ -8,11 +8,11 @@ from pathlib import Path
 import lightning
 from lightning import LightningModule, Trainer
 
-from uncal.callbacks.pictures import show_picture
+from uncal.callbacks.overlays import show_picture
 from uncal.models.module import CalibrationModule
 from uncal.reporting.figures.run_figures import figure_makers
 from uncal.reporting.figures.style import save
-from uncal.reporting.run import recorded_caveat
+from uncal.reporting.run import Run
 
 log = logging.getLogger(__name__)
 
@@ -33,10 +33,9 @@ class Figures(lightning.Callback):
         """Draw, write, log; a figure that fails is named, and the others and the run go on."""
         if stage != "test" or not trainer.is_global_zero:
             return
-        caveat = None
-        if isinstance(pl_module, CalibrationModule):
-            caveat = recorded_caveat(pl_module.recipe)
-        for name, draw in figure_makers(self.folder, self.label, caveat).items():
+        settings = pl_module.recipe if isinstance(pl_module, CalibrationModule) else {}
+        run = Run(self.folder, {"settings": settings, "label": self.label})
+        for name, draw in figure_makers(run).items():
             try:
                 if (figure := draw()) is not None:
                     png, _ = save(figure, self.folder / "figures")

@@ -11,7 +11,7 @@ from lightning import LightningModule, Trainer
 from numpy.typing import NDArray
 from torch import Tensor
 
-from uncal.callbacks.pictures import keep_overlay
+from uncal.callbacks.overlays import keep_overlay
 from uncal.data.datamodule import CalibrationDataModule
 from uncal.data.dataset import Sample
 from uncal.errors import ConfigurationError

@@ -13,6 +13,7 @@ from lightning import LightningModule, Trainer
 from uncal import __version__
 from uncal.data.datamodule import WINDOWED, CalibrationDataModule
 from uncal.models.module import CalibrationModule
+from uncal.reporting.evaluation import Evaluation
 from uncal.reporting.frames import write_csv
 from uncal.reporting.measure import measure
 from uncal.reporting.report import format_report, write_report
@@ -45,14 +46,11 @@ class Report(lightning.Callback):
         run, tested = pl_module.run, pl_module.run.tested
         data = trainer.datamodule  # type: ignore[attr-defined]  # Lightning sets it in test()
         frames = data.named("test")
+        groups = tested.groups(frames, pl_module.groups)
+        predicted = (tested.mean, tested.std, tested.target)
         run.results = measure(
-            tested.mean,
-            tested.std,
-            tested.target,
-            pl_module.calibrator,
+            Evaluation(*predicted, pl_module.calibrator, groups, tested.bounds),
             self.levels,
-            groups=tested.groups(frames, pl_module.groups),
-            bounds=tested.bounds,
             control=None if run.control is None else run.control.among(tested.index),
             frames=[str(frames[i]) for i in tested.index.tolist()],
             ellipsoid=(pl_module.ellipsoid, tested.covariance),

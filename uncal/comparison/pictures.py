@@ -53,7 +53,7 @@ def pictures(source: Run | Multirun) -> list[Picture]:
 
     with paper_style():
         if isinstance(source, Run):
-            figures = run_figures(source.folder, source.label)
+            figures = run_figures(source)
         else:
             figures = [] if source.frame is None else sweep_figures(source.frame)
         return [_drawn(figure, source.origin) for figure in figures]

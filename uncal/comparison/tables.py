@@ -277,7 +277,8 @@ def _weights_cell(run: Run) -> str:
     seconds = weights.get("training_seconds")
     took = f" ({seconds:.0f} s)" if isinstance(seconds, int | float) and seconds else ""
     origin = "reused, trained earlier" if weights["reused"] else "trained in this run"
-    passes = "".join(f"; {split} passes {origin}" for split, origin in run.stored_passes.items())
+    stored = run.mapping("passes").items()  # whether stochastic passes were computed or reused
+    passes = "".join(f"; {split.replace('_', ' ')} passes {source}" for split, source in stored)
     return f"{name}: {origin}{took}{passes}"
 
 

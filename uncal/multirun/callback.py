@@ -142,7 +142,11 @@ def failure(job_return: JobReturn) -> str:
         else:
             log.exception("unexpected error")
             reason = f"{type(error).__name__}: {error}"
-        _let_go(error)
+        # Hydra keeps the error until the last job ends, and its frames hold data and network.
+        chain: BaseException | None = error
+        while chain is not None:
+            traceback.clear_frames(chain.__traceback__)
+            chain = chain.__cause__ or chain.__context__
         return reason
     return ""
 
@@ -153,11 +157,3 @@ def _modified(path: Path) -> float:
         return path.stat().st_mtime
     except OSError:
         return 0.0
-
-
-def _let_go(error: BaseException) -> None:
-    """Hydra keeps the error until the last job ends, and its frames hold data and network."""
-    chain: BaseException | None = error
-    while chain is not None:
-        traceback.clear_frames(chain.__traceback__)
-        chain = chain.__cause__ or chain.__context__

@@ -104,7 +104,13 @@ def _figures(sweep: Sweep) -> Iterator[NamedFigure]:
     if as_lines:
         for name, title, column in _WIDTHS:
             caption = f"{title} {suffix}, at each nominal level: mean over X, Y, Z to the left, "
-            if panels := _width_panels(sweep, title, column):
+            panels = [
+                Panel(f"{kind}, {v:g} % intervals", f"{title} ({unit})", {"": (column, v, dofs)})
+                for v in sweep.levels
+                if len(sweep.values((column, v, DOF_NAMES)))
+                for kind, unit, dofs in _KINDS
+            ]
+            if panels:
                 yield figure(name, title, caption + "over roll, pitch, yaw to the right.", panels)
     axis = "Empirical coverage (%)"
     coverage = [
@@ -123,45 +129,28 @@ def _figures(sweep: Sweep) -> Iterator[NamedFigure]:
             f"freedom divided by its own in the row “{sweep.names[0]}”. Narrow intervals are "
             "better only if they cover: the interval score counts misses too."
         )
+        axes = {f"{title} relative to the first row": column for _, title, column in _WIDTHS}
         widths = [
-            Panel(
-                "", f"{title} relative to the first row", _by_dof(column, level), 1, relative=True
-            )
-            for _, title, column in reversed(_WIDTHS)
+            Panel("", axis, _by_dof(column, level), 1, relative=True)
+            for axis, column in reversed(axes.items())
         ]
         yield figure("interval_width", "Interval width", caption, widths)
     if by_dof and "together" in sweep.frame.columns:
+        axis = "All six DoF held (%)"
         pose = [
-            Panel(
-                f"{v:g} %",
-                "All six DoF held (%)",
-                {name: (column, v, DOF_NAMES) for column, name in _POSE.items()},
-                reference=v,
-            )
+            Panel(f"{v:g} %", axis, {n: (c, v, DOF_NAMES) for c, n in _POSE.items()}, reference=v)
             for v in sweep.levels
         ]
         yield figure("whole_pose", "Whole pose", _POSE_WORDS, pose, len(pose))
     # The same at all levels, and with interval methods in all rows.
     shown = _ERRORS if by_dof else {"mae_after": ""}
     if as_lines or sweep.differs((column, level, DOF_NAMES) for column in shown):
+        axis = "Mean absolute error"
         errors = [
-            Panel(
-                kind,
-                f"Mean absolute error ({unit})",
-                {name: (column, level, dofs) for column, name in shown.items()},
-            )
+            Panel(kind, f"{axis} ({unit})", {n: (c, level, dofs) for c, n in shown.items()})
             for kind, unit, dofs in _KINDS
         ]
         yield figure("point_error", "Point error", _ERROR_WORDS, errors)
-
-
-def _width_panels(sweep: Sweep, title: str, column: str) -> list[Panel]:
-    return [
-        Panel(f"{kind}, {v:g} % intervals", f"{title} ({unit})", {"": (column, v, dofs)})
-        for v in sweep.levels
-        if len(sweep.values((column, v, DOF_NAMES)))
-        for kind, unit, dofs in _KINDS
-    ]
 
 
 def _camera(sweep: Sweep) -> Iterator[NamedFigure]:

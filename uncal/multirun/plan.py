@@ -43,13 +43,15 @@ def share_cores(config: DictConfig, planned: Sequence[Mapping[str, str]] | None)
     The variable is set in this process, whose jobs' processes inherit it before they import torch;
     otherwise each would start a thread per core, and together they would be slower than in turn.
     """
+    from joblib import cpu_count  # type: ignore[import-untyped]
+
     launcher = config.hydra.launcher
     threads = threads_per_job(
         str(launcher._target_).rpartition(".")[2],
         n_jobs=launcher.get("n_jobs"),
         cpus_per_task=launcher.get("cpus_per_task"),
         planned=None if planned is None else len(planned),
-        cores=_cores(),
+        cores=cpu_count(),
     )
     if threads is not None and THREADS not in os.environ:
         os.environ[THREADS] = str(threads)
@@ -84,10 +86,3 @@ def threads_per_job(
     else:
         return None
     return max(1, cores // min(at_once, planned or at_once))
-
-
-def _cores() -> int:
-    """Those that this process may use; a container or a cluster may allow less than there are."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1

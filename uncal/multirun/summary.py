@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import math
 import shlex
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,25 +17,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from uncal.multirun.sweep import Sweep
-
-_NOTES = (
-    "MPIW: mean width of the intervals. PICP: empirical coverage. IS: interval score, the lower "
-    "the better. after / before: mean over the DoF of mean absolute error after / before.",
-    "`summary.csv` has the numbers unrounded, one row per job, level and DoF, with IS and MAE; "
-    "the columns are those of `results.csv`, `joint.csv` and `control.csv` in the jobs' folders.",
-)
-
-_INFINITE = "∞: the uncertainty calibration set is too small for that level."
-
-_JOINT = (
-    "Six at once: how often all six intervals hold, which is not guaranteed. Joint box and "
-    "Bonferroni: regions that hold all six DoF at the nominal level."
-)
-
-_CAMERA = (
-    "(error with another frame's image - error) / decalibration, all mean absolute: what the "
-    "camera contributes to the estimate. Near 0 the network calibrates blind."
-)
 
 _WITHOUT_RESULTS = "Jobs without results"
 
@@ -95,9 +76,10 @@ def summary_sections(multirun: Multirun) -> list[Section]:
     if multirun.frame is not None:
         # Pandas takes a second to import, which a run that is no multirun has no use for.
         from uncal.multirun.sweep import Sweep
+        from uncal.multirun.tables import summary_tables
 
         sweep = Sweep(multirun.frame)
-        sections = _tables(sweep)
+        sections = summary_tables(sweep)
     if without := _without_results(multirun):
         sections.append(Section(_WITHOUT_RESULTS, [], without))
     return [Section("Jobs", [], _job_notes(multirun, sweep)), *sections]
@@ -112,26 +94,6 @@ def continuation(command: str, folder: Path) -> str:
     if any(part.startswith("hydra.sweep.dir=") for part in shlex.split(command)):
         return command
     return f"{command} {shlex.quote(f'hydra.sweep.dir={folder}')}"
-
-
-def _tables(sweep: Sweep) -> list[Section]:
-    from uncal.multirun.tables import camera_table, error_table, level_table, pose_table
-
-    first, last = sweep.levels[0], sweep.levels[-1]
-    infinite = sweep.frame["mpiw"].map(math.isinf).any()
-    joint = "together" in sweep.frame.columns
-    notes = [*_NOTES, *([_JOINT] if joint else []), *([_INFINITE] if infinite else [])]
-    sections = [Section(f"All DoF, {first:g}% intervals", pose_table(sweep, first))]
-    for level in sweep.levels:
-        grid = level_table(sweep, level)
-        sections.append(Section(f"{level:g}% intervals", grid, notes if level == last else ()))
-    if "contribution" in sweep.frame.columns:
-        errors = "Mean absolute error of one pass without dropout and of the MC mean"
-        sections += [
-            Section(errors, error_table(sweep)),
-            Section("What the camera contributes", camera_table(sweep), [_CAMERA]),
-        ]
-    return sections
 
 
 def _job_notes(multirun: Multirun, sweep: Sweep | None) -> list[str]:
@@ -191,11 +153,8 @@ def _without_results(multirun: Multirun) -> list[str]:
 def _state(folder: Path) -> set[tuple[str, int, int]]:
     """What there is and when it was written."""
     found = set()
-    for job in job_folders(folder):
-        for name in STATE:
-            try:
-                stat = (job / name).stat()
-            except FileNotFoundError:
-                continue
-            found.add((f"{job}/{name}", stat.st_mtime_ns, stat.st_size))
+    for path in (job / name for job in job_folders(folder) for name in STATE):
+        with suppress(FileNotFoundError):
+            stat = path.stat()
+            found.add((str(path), stat.st_mtime_ns, stat.st_size))
     return found

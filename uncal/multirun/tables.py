@@ -10,58 +10,59 @@ from typing import TypeAlias
 from uncal.geometry import DOF_NAMES, DOF_UNITS
 from uncal.multirun.sweep import Quantity, Sweep
 from uncal.reporting.layout import Grid, number
+from uncal.reporting.sections import Section
 
 Column: TypeAlias = tuple[str, int, Quantity]
 """Heading, digits, and what is averaged."""
 
 KINDS = (("transl.", "cm", DOF_NAMES[:3]), ("rot.", "°", DOF_NAMES[3:]))
+DIGITS = {"cm": 2, "°": 3}
 
 LOWEST = "PICP, lowest DoF (%)"
 
 _POSE = {"six at once": "together", "joint box": "joint", "Bonferroni": "bonferroni"}
 
+_NOTES = (
+    "MPIW: mean width of the intervals. PICP: empirical coverage. IS: interval score, the lower "
+    "the better. after / before: mean over the DoF of mean absolute error after / before.",
+    "`summary.csv` has the numbers unrounded, one row per job, level and DoF, with IS and MAE; "
+    "the columns are those of `results.csv`, `joint.csv` and `control.csv` in the jobs' folders.",
+)
 
-def level_table(sweep: Sweep, level: float) -> Grid:
-    """MPIW per DoF, PICP per DoF, mean ratio, at one nominal coverage in percent."""
-    coverage = [(f"{dof} PICP (%)", 1, ("picp", level, [dof])) for dof in DOF_NAMES]
-    ratio = ("after / before", 3, ("ratio", level, DOF_NAMES))
-    return _grid(sweep, [*_per_dof({"MPIW": "mpiw"}, level), *coverage, ratio])
+_INFINITE = "∞: the uncertainty calibration set is too small for that level."
+
+_JOINT = (
+    "Six at once: how often all six intervals hold, which is not guaranteed. Joint box and "
+    "Bonferroni: regions that hold all six DoF at the nominal level."
+)
+
+_CAMERA = (
+    "(error with another frame's image - error) / decalibration, all mean absolute: what the "
+    "camera contributes to the estimate. Near 0 the network calibrates blind."
+)
 
 
-def pose_table(sweep: Sweep, level: float) -> Grid:
-    """All DoF in one line: scores, widths and coverage at one nominal coverage in percent."""
-    lengths = [
-        (f"{name} {kind} ({unit})", _digits(unit), (column, level, dofs))
-        for name, column in (("IS", "is"), ("MPIW", "mpiw"))
-        for kind, unit, dofs in KINDS
+def summary_tables(sweep: Sweep) -> list[Section]:
+    """All DoF in one table, a table per level, errors and what the camera contributes."""
+    first = sweep.levels[0]
+    errors = "Mean absolute error of one pass without dropout and of the MC mean"
+    infinite = sweep.frame["mpiw"].map(math.isinf).any()
+    joint = "together" in sweep.frame.columns
+    notes = [*_NOTES, *([_JOINT] if joint else []), *([_INFINITE] if infinite else [])]
+    levels = [
+        Section(f"{level:g}% intervals", _grid(sweep, _widths_and_coverage(level)))
+        for level in sweep.levels
     ]
-    shares = {"PICP, mean (%)": "picp", LOWEST: "picp"}
-    shares |= {f"{name} (%)": column for name, column in _POSE.items()}
-    coverage = [(name, 1, (column, level, DOF_NAMES)) for name, column in shares.items()]
-    return _grid(sweep, [*lengths, *coverage, ("after / before", 3, ("ratio", level, DOF_NAMES))])
-
-
-def error_table(sweep: Sweep) -> Grid:
-    """Mean absolute error of one pass without dropout and of the MC mean, per DoF."""
-    errors = {"one pass": "mae_single", "MC mean": "mae_mean"}
-    return _grid(sweep, _per_dof(errors, sweep.levels[0]))
-
-
-def camera_table(sweep: Sweep) -> Grid:
-    """What the camera contributes per DoF, with its interval where nothing was repeated."""
-    level = sweep.levels[0]
-    grid = _grid(sweep, [(f"{dof} (%)", 0, ("contribution", level, [dof])) for dof in DOF_NAMES])
-    for dof in DOF_NAMES:
-        if f"{dof} (%)" not in grid[0]:
-            continue
-        index = grid[0].index(f"{dof} (%)")
-        low, high = (
-            sweep.per_job((f"contribution_{end}", level, [dof])) for end in ("low", "high")
-        )
-        for line, folders in zip(grid[1:], sweep.groups.values(), strict=True):
-            if len(folders) == 1 and line[index] != "–":
-                line[index] += f" [{low[folders[0]]:.0f}, {high[folders[0]]:.0f}]"
-    return grid
+    levels[-1] = Section(levels[-1].title, levels[-1].grid, notes)
+    sections = [
+        Section(f"All DoF, {first:g}% intervals", _grid(sweep, _whole_pose(first))),
+        *levels,
+    ]
+    if "contribution" in sweep.frame.columns:
+        columns = _per_dof({"one pass": "mae_single", "MC mean": "mae_mean"}, first)
+        camera = Section("What the camera contributes", _camera_grid(sweep), [_CAMERA])
+        sections += [Section(errors, _grid(sweep, columns)), camera]
+    return sections
 
 
 def mean_and_deviation(values: Sequence[float], digits: int) -> str:
@@ -78,12 +79,45 @@ def mean_and_deviation(values: Sequence[float], digits: int) -> str:
     return f"{mean} ± {number(statistics.stdev(values), digits)}"
 
 
+def _widths_and_coverage(level: float) -> list[Column]:
+    coverage = [(f"{dof} PICP (%)", 1, ("picp", level, [dof])) for dof in DOF_NAMES]
+    ratio = ("after / before", 3, ("ratio", level, DOF_NAMES))
+    return [*_per_dof({"MPIW": "mpiw"}, level), *coverage, ratio]
+
+
+def _whole_pose(level: float) -> list[Column]:
+    lengths = [
+        (f"{name} {kind} ({unit})", DIGITS[unit], (column, level, dofs))
+        for name, column in (("IS", "is"), ("MPIW", "mpiw"))
+        for kind, unit, dofs in KINDS
+    ]
+    shares = {"PICP, mean (%)": "picp", LOWEST: "picp"}
+    shares |= {f"{name} (%)": column for name, column in _POSE.items()}
+    coverage = [(name, 1, (column, level, DOF_NAMES)) for name, column in shares.items()]
+    return [*lengths, *coverage, ("after / before", 3, ("ratio", level, DOF_NAMES))]
+
+
 def _per_dof(quantities: dict[str, str], level: float) -> list[Column]:
     return [
-        (f"{dof} {name} ({unit})", _digits(unit), (column, level, [dof]))
+        (f"{dof} {name} ({unit})", DIGITS[unit], (column, level, [dof]))
         for dof, unit in zip(DOF_NAMES, DOF_UNITS, strict=True)
         for name, column in quantities.items()
     ]
+
+
+def _camera_grid(sweep: Sweep) -> Grid:
+    """Per DoF, with its interval where nothing was repeated."""
+    level = sweep.levels[0]
+    headings = {f"{dof} (%)": dof for dof in DOF_NAMES}
+    columns = [(text, 0, ("contribution", level, [dof])) for text, dof in headings.items()]
+    grid = _grid(sweep, columns)
+    for index, heading in enumerate(grid[0]):
+        dofs = [headings[heading]] if heading in headings else []
+        low, high = (sweep.per_job((f"contribution_{end}", level, dofs)) for end in ("low", "high"))
+        for line, (folder, *more) in zip(grid[1:], sweep.groups.values(), strict=True):
+            if dofs and not more and line[index] != "–":
+                line[index] += f" [{low[folder]:.0f}, {high[folder]:.0f}]"
+    return grid
 
 
 def _grid(sweep: Sweep, columns: Iterable[Column]) -> Grid:
@@ -105,8 +139,3 @@ def _grid(sweep: Sweep, columns: Iterable[Column]) -> Grid:
             for line, cell in zip(lines, cells, strict=True):
                 line.append(cell)
     return [header, *lines]
-
-
-def _digits(unit: str) -> int:
-    """Tenths of a millimetre, thousandths of a degree."""
-    return 2 if unit == "cm" else 3

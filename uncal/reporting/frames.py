@@ -7,7 +7,6 @@ it. A column's kind follows from its name, so that the CSV reads back as it was 
 from __future__ import annotations
 
 import io
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,7 +32,7 @@ _PARSERS: dict[str, Callable[[str], object]] = {
     "integer": int,
     "truth": {"True": True, "False": False}.__getitem__,
     "number": float,
-    "number, not NaN": lambda cell: _not_nan(float(cell)),
+    "number, not NaN": float,
 }
 """Kind → reader of a cell; Python's own ``float`` reads a decimal back exactly."""
 
@@ -242,15 +241,11 @@ def _parsed(cells: pd.Series[str], known: bool) -> list[object]:
             raise ValueError(f"line {line} has no {name}")
         try:
             values.append(_PARSERS[kind](cell))
+            if kind.endswith("not NaN") and values[-1] != values[-1]:
+                raise ValueError
         except (ValueError, KeyError):
             raise ValueError(f"line {line}: {name} is {cell!r}, expected {kind}") from None
     return values
-
-
-def _not_nan(value: float) -> float:
-    if math.isnan(value):
-        raise ValueError
-    return value
 
 
 def _check_complete(frame: pd.DataFrame, schema: Schema) -> None:

@@ -24,7 +24,6 @@ from uncal.metrics.pose_error import PoseErrors, pose_errors, rotation_angle
 from uncal.reporting.control import control_table
 from uncal.reporting.evaluation import Evaluation, Guarantee, percent
 from uncal.reporting.frames import CONDITIONAL, RESULTS, bound_columns
-from uncal.uncertainty.conformal.calibrator import IntervalCalibrator
 from uncal.uncertainty.conformal.ellipsoid import EllipsoidCalibrator, log_volume, mahalanobis
 from uncal.uncertainty.conformal.quantile import miscoverage
 
@@ -68,14 +67,9 @@ class Results:
 
 
 def measure(
-    mean: Tensor,
-    std: Tensor,
-    target: Tensor,
-    calibrator: IntervalCalibrator,
+    test: Evaluation,
     levels: Sequence[float],
     *,
-    groups: Sequence[str] | None = None,
-    bounds: tuple[Tensor, Tensor] | None = None,
     control: ControlPrediction | None = None,
     frames: Sequence[str] | None = None,
     ellipsoid: tuple[EllipsoidCalibrator, Tensor] | None = None,
@@ -83,13 +77,8 @@ def measure(
     """Measure everything that the report shows.
 
     Args:
-        mean: (n, 6) estimated decalibration, metres and radians.
-        std: (n, 6) σ of the estimate.
-        target: (n, 6) true decalibration.
-        calibrator: fitted on the uncertainty calibration set.
+        test: n frames.
         levels: coverage levels in (0, 1); the first is the one shown by bins.
-        groups: n labels, where the calibrator needs them.
-        bounds: (n, 6) lower and upper quantile outputs, where the calibrator needs them.
         control: the image-blind control on the same frames.
         frames: n names of the frames, for the single predictions.
         ellipsoid: a second joint region, fitted, and the (n, 6, 6) covariances.
@@ -97,10 +86,8 @@ def measure(
     Raises:
         UncertaintyError: the predictions or a level allow no interval.
         NotCalibratedError: the calibrator is not fitted.
-        ValueError: no levels, shapes other than (n, 6), values that are not finite, or not one
-            label or name per sample.
+        ValueError: no levels, or not one name per sample.
     """
-    test = Evaluation(mean, std, target, calibrator, groups, bounds)
     per_dof = per_dof_table(test, levels)
     mae_after = per_dof["mae_after"].iloc[: len(DOF_NAMES)].tolist()
     return Results(

@@ -95,12 +95,7 @@ def overlay_panel(
 ) -> NDArray[np.uint8]:
     """The same sweep under several extrinsics, one above the other, each with its caption.
 
-    Args:
-        image: (H, W, 3) uint8 RGB.
-        points: (N, 3 or more) LiDAR frame, metres.
-        K: (3, 3) camera matrix.
-        extrinsics: caption → (4, 4).
-        scale: enlargement.
+    The arguments are those of :func:`draw_points`, with caption → (4, 4) for the extrinsics.
 
     Returns:
         uint8 RGB picture.

@@ -84,15 +84,18 @@ def commit_of_code() -> str | None:
     package = Path(__file__).resolve().parents[1]
     if not (package.parent / ".git").exists():
         return None
+    commands = (("rev-parse", "--short", "HEAD"), ("status", "--porcelain", "--", "uncal", "conf"))
     try:
-        head = _git(package, "rev-parse", "--short", "HEAD")
-        changed = _git(package, "status", "--porcelain", "--", "uncal", "conf")
+        head, changed = (
+            subprocess.run(
+                ["git", "-C", str(package.parent), *command],
+                capture_output=True,
+                text=True,
+                timeout=10,
+                check=True,
+            ).stdout.strip()
+            for command in commands
+        )
     except (OSError, subprocess.SubprocessError):
         return None
     return f"{head}+" if changed else head
-
-
-def _git(package: Path, *arguments: str) -> str:
-    command = ["git", "-C", str(package.parent), *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=10, check=True)
-    return done.stdout.strip()

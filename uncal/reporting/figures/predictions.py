@@ -30,12 +30,11 @@ LEVEL = 90.0
 
 def ordered_intervals(predictions: pd.DataFrame, label: str) -> NamedFigure:
     """Six panels of nested intervals, bounds minus truth, smoothed by a moving average."""
-    by_dof = list(predictions.groupby("dof", sort=False))
-    n = len(by_dof[0][1])
+    n = len(predictions) // 6
     window = smoothing_window(n)
     with style.paper_style():
         figure, panels = style.new_figure(2, 3, height=4.1, label=label, sharex=True)
-        for panel, (_, rows) in zip(panels, by_dof, strict=True):
+        for panel, (_, rows) in zip(panels, predictions.groupby("dof", sort=False), strict=True):
             _draw_regions(panel, rows, window)
         for panel in panels[3:]:
             panel.set_xlabel("Test frame, in order of truth")
@@ -95,11 +94,15 @@ def width_against_error(predictions: pd.DataFrame, label: str) -> NamedFigure | 
     if not finite:
         return None
     level = LEVEL if LEVEL in finite else finite[0]
-    by_dof = list(predictions.groupby("dof", sort=False))
+    lower, upper = bounds(predictions, level)
+    off = np.abs((lower + upper) / 2 - predictions["estimate"].to_numpy())
+    above = "above it the interval holds the truth."
+    if (off > 1e-6 * (upper - lower)).any():
+        above = "these intervals are not centred on the estimate, so it is only a guide."
     with style.paper_style():
         figure, panels = style.new_figure(2, 3, height=4.3, label=label)
         style.light_grid(panels)
-        for panel, (_, rows) in zip(panels, by_dof, strict=True):
+        for panel, (_, rows) in zip(panels, predictions.groupby("dof", sort=False), strict=True):
             _draw_points(panel, rows, level)
         for handle in style.shared_legend(figure, panels).legend_handles:
             if handle is not None:
@@ -107,9 +110,9 @@ def width_against_error(predictions: pd.DataFrame, label: str) -> NamedFigure | 
     return NamedFigure(
         "width_against_error",
         f"Width of the {level:g} % intervals against error",
-        f"Each point is one of {len(by_dof[0][1])} test frames. ρ is Spearman's rank "
+        f"Each point is one of {len(predictions) // 6} test frames. ρ is Spearman's rank "
         "correlation of width and |error|: 0 where the width says nothing about the error. "
-        f"Dashed: width = 2 |error|; {_above(predictions, level)}",
+        f"Dashed: width = 2 |error|; {above}",
         figure,
     )
 
@@ -153,14 +156,6 @@ def _draw_points(panel: Axes, rows: pd.DataFrame, level: float) -> None:
     rho = rank_correlation(width, error)
     shown = f"ρ = {rho:.2f}".replace("-", "−")
     panel.set_title(f"{dof}: {'no ρ, equal widths' if math.isnan(rho) else shown}")
-
-
-def _above(predictions: pd.DataFrame, level: float) -> str:
-    lower, upper = bounds(predictions, level)
-    off = np.abs((lower + upper) / 2 - predictions["estimate"].to_numpy())
-    if (off > 1e-6 * (upper - lower)).any():
-        return "these intervals are not centred on the estimate, so it is only a guide."
-    return "above it the interval holds the truth."
 
 
 def _draw_regions(panel: Axes, rows: pd.DataFrame, window: int) -> None:

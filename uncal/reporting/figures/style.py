@@ -178,16 +178,18 @@ def save(figure: NamedFigure, folder: Path) -> tuple[Path, Path]:
     fonts = logging.getLogger("fontTools")  # tells a hundred lines for every font in a PDF
     level = fonts.level
     fonts.setLevel(logging.WARNING)
-    with paper_style():
-        with replaced_whole(png) as partial:
-            about = {"Title": figure.title, "Description": figure.caption}
-            drawn.savefig(partial, format="png", dpi=PNG_DPI, metadata=about)
-        # The panels stand where they should by now, and to place them is a third of the work.
-        layout = drawn.get_layout_engine()
-        drawn.set_layout_engine("none")
-        with replaced_whole(pdf) as partial:
-            subject = {"Title": figure.title, "Subject": figure.caption, "CreationDate": None}
-            drawn.savefig(partial, format="pdf", dpi=PNG_DPI, metadata=subject)
-        drawn.set_layout_engine(layout)
-    fonts.setLevel(level)
+    try:
+        with paper_style():
+            with replaced_whole(png) as partial:
+                about = {"Title": figure.title, "Description": figure.caption}
+                drawn.savefig(partial, format="png", dpi=PNG_DPI, metadata=about)
+            # The panels stand where they should by now, and to place them is a third of the work.
+            layout = drawn.get_layout_engine()
+            drawn.set_layout_engine("none")
+            with replaced_whole(pdf) as partial:
+                subject = {"Title": figure.title, "Subject": figure.caption, "CreationDate": None}
+                drawn.savefig(partial, format="pdf", dpi=PNG_DPI, metadata=subject)
+            drawn.set_layout_engine(layout)
+    finally:
+        fonts.setLevel(level)
     return png, pdf
