@@ -34,7 +34,8 @@ def summary(
                 row |= {"mae_after": 1.0, "coverage_low": 80.0, "coverage_high": 97.0}
                 row |= {k: v + 0.1 * j if isinstance(v, float) else v for k, v in own.items()}
                 rows.append(row | {"label": "made-up", "folder": str(number)})
-    return pd.DataFrame(rows)
+    frame: pd.DataFrame = pd.DataFrame(rows)
+    return frame
 
 
 def drawn(frame: pd.DataFrame) -> dict[str, NamedFigure]:

@@ -68,9 +68,8 @@ def test_jobs_share_16_cores(
     planned: int | None,
     threads: int | None,
 ) -> None:
-    assert threads == threads_per_job(
-        launcher, n_jobs=n_jobs, cpus_per_task=cpus_per_task, planned=planned, cores=16
-    )
+    config = {"_target_": f"a.{launcher}", "n_jobs": n_jobs, "cpus_per_task": cpus_per_task}
+    assert threads == threads_per_job(config, planned=planned, cores=16)
 
 
 @pytest.mark.parametrize(

@@ -110,10 +110,9 @@ def bound_extrinsics(
     dof: str,
     what: str,
 ) -> dict[str, NDArray[np.float64]]:
-    """The extrinsic corrected by the estimate, one DoF of which stands at a bound of its interval.
+    """Caption → (4, 4) corrected by the estimate, of which one DoF stands at a bound or not at all.
 
-    Returns:
-        Caption in plain ASCII, which OpenCV can draw → (4, 4): lower bound, estimate, upper bound.
+    Captions are plain ASCII, which OpenCV can draw.
     """
     j = DOF_NAMES.index(dof)
     unit, digits = ("cm", 1) if j < 3 else ("deg", 2)

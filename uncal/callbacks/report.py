@@ -120,11 +120,9 @@ def skip_notes(skipped: Mapping[str, str], shown: int = 10) -> list[str]:
     >>> skip_notes({"rig/drive/0000000003": "truncated"})
     ['1 frame skipped (all in skipped.csv).', 'Skipped rig/drive/0000000003: truncated']
     """
-    if not skipped:
-        return []
     frames = "1 frame" if len(skipped) == 1 else f"{len(skipped)} frames"
     first = [f"Skipped {frame}: {reason}" for frame, reason in list(skipped.items())[:shown]]
-    return [f"{frames} skipped (all in skipped.csv).", *first]
+    return [f"{frames} skipped (all in skipped.csv).", *first] if skipped else []
 
 
 def write_skipped(path: Path, skipped: Mapping[str, str]) -> None:

@@ -46,9 +46,7 @@ class RunProgress(lightning.Callback):
         """Close the bar."""
         self._close()
 
-    def on_test_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Close the bar."""
-        self._close()
+    on_test_end = on_train_end
 
     def on_exception(
         self, trainer: Trainer, pl_module: LightningModule, exception: BaseException

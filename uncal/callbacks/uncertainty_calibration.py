@@ -85,14 +85,7 @@ def interval_metrics(
     frames: Sequence[FrameId],
     level: float,
 ) -> dict[str, Tensor]:
-    """PICP, MPIW and IS of a split's intervals per DoF: tag → value in percent, cm or degrees.
-
-    Args:
-        module: with a fitted calibrator.
-        predicted: frames of a split.
-        frames: all of that split.
-        level: coverage level in (0, 1).
-    """
+    """PICP, MPIW and IS of a split's intervals per DoF: tag → value in percent, cm or degrees."""
     intervals = module.intervals(predicted, frames, level)
     metrics = MetricCollection(
         {"PICP": PICP(6), "MPIW": MPIW(6), "IS": IntervalScore(6, float(miscoverage(level)))}

@@ -128,11 +128,9 @@ def is_multirun(config: DictConfig) -> bool:
 
 
 def failure(job_return: JobReturn) -> str:
-    """Why a job failed; its local variables are let go.
+    """Why a job failed: the message of an error that a user can act on, else the traceback's end.
 
-    Returns:
-        The message of an error that a user can act on, else the traceback's last line; the whole
-        traceback of such an error goes to the log.
+    The whole traceback of the latter goes to the log; the error's local variables are let go.
     """
     try:
         _ = job_return.return_value  # raises what the job raised

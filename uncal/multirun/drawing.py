@@ -62,7 +62,6 @@ def lines(sweep: Sweep, panels: Sequence[Panel], columns: int) -> Figure:
     rows = len(panels) // columns
     height = 0.7 + 1.6 * rows
     figure, axes = style.new_figure(rows, columns, height=height, label=sweep.label, sharex=True)
-    style.light_grid(axes)
     for index, (axis, panel) in enumerate(zip(axes, panels, strict=True)):
         if panel.reference is not None:
             axis.axhline(panel.reference, **style.REFERENCE)
@@ -183,7 +182,7 @@ def _name_rows(sweep: Sweep, axes: Sequence[Axes]) -> None:
         axis.set_ylim(len(names) - 0.5, -0.5)
         axis.set_yticks(range(len(names)), [])
         axis.tick_params(axis="y", length=0)
-        axis.grid(visible=True, axis="x")
+        axis.grid(visible=False, axis="y")
         for edge in range(1, len(names)):
             axis.axhline(edge - 0.5, color="#BFBFBF", linewidth=0.5)
     axes[0].set_yticks(range(len(names)), names)

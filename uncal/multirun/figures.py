@@ -57,15 +57,11 @@ def sweep_figures(frame: pd.DataFrame) -> list[NamedFigure]:
     if len(sweep.groups) < 2 and sweep.replicates < 2:
         return []
     with paper_style():
-        return [*_figures(sweep), *_camera(sweep)]
+        return list(_figures(sweep))
 
 
 def draw_figures(folder: Path, frame: pd.DataFrame) -> list[Path]:
-    """Save the figures of a multirun, and their captions for its ``summary.md``.
-
-    Returns:
-        The PNG files, in ``<folder>/figures``, each with a PDF beside it.
-    """
+    """Save PNG (returned) and PDF of a multirun's figures, and their captions for summary.md."""
     figures, target = sweep_figures(frame), folder / FIGURES
     paths = [save(figure, target)[0] for figure in figures]
     earlier = {name for name, _, _ in read_captions(folder)}
@@ -152,17 +148,15 @@ def _figures(sweep: Sweep) -> Iterator[NamedFigure]:
         ]
         yield figure("point_error", "Point error", _ERROR_WORDS, errors)
 
-
-def _camera(sweep: Sweep) -> Iterator[NamedFigure]:
-    """None if it is unknown, or the same in all rows, as with stochastic passes."""
-    series = _by_dof("contribution", sweep.levels[0])
+    # None if it is unknown, or the same in all rows, as with stochastic passes.
+    series = _by_dof("contribution", level)
     if sweep.differs(series.values()):
         own = sweep.replicates == 1
         words = "Bars: 95 % bootstrap intervals." if own else sweep.spread
         title = f"What the camera contributes by {sweep.words}"
         panel = Panel("", "What the camera contributes (% of the decalibration)", series, 0.0)
-        figure = dots(sweep, [panel], own_bars=own)
-        yield NamedFigure("camera", title, f"{_CAMERA_WORDS} {words}", figure)
+        drawn = dots(sweep, [panel], own_bars=own)
+        yield NamedFigure("camera", title, f"{_CAMERA_WORDS} {words}", drawn)
 
 
 def _by_dof(column: str, level: float) -> dict[str, Quantity]:

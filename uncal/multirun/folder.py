@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import json
+import csv
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from uncal.multirun.jobs import REPLICATES, Job, read_jobs, shown, swept_keys
-from uncal.reporting.layout import read_json, write_whole
+from uncal.reporting.layout import read_json
 from uncal.reporting.run import UNKNOWN, Run
 
 if TYPE_CHECKING:
@@ -67,12 +67,6 @@ class Multirun:
         planned = record.get("planned")
         known = planned if isinstance(planned, list) else None
         return cls(folder, str(record.get("command", unknown)), known, name)
-
-    def write_record(self) -> None:
-        """Write command and plan for :meth:`read`."""
-        content = {"command": self.command, "planned": self.planned}
-        text = json.dumps(content, indent=1, ensure_ascii=False)
-        write_whole(self.folder / RECORD, f"{text}\n")
 
     @property
     def captions(self) -> Path:
@@ -167,9 +161,8 @@ class Multirun:
         return kept.to_csv(index=False, lineterminator="\n")
 
 
-def read_captions(folder: Path) -> list[tuple[str, str, str]]:
+def read_captions(folder: Path) -> list[list[str]]:
     """Name, title and caption of the figures in a multirun's folder."""
-    import pandas as pd
-
     path = folder / FIGURES / CAPTIONS
-    return list(pd.read_csv(path).itertuples(index=False, name=None)) if path.is_file() else []
+    text = path.read_text(encoding="utf-8") if path.is_file() else ""
+    return list(csv.reader(text.splitlines()))[1:]

@@ -51,13 +51,10 @@ class Job(Run):
 
 
 def read_jobs(folder: Path) -> list[Job]:
-    """All jobs below a multirun's folder, in the order of their folders' numbers.
+    """All jobs in a multirun's folder, finished or not, in the order of their folders' numbers.
 
     Files may be missing or half there, because other processes are at work on them: a job then
     counts as unfinished, and the next summary, after the change, has it right.
-
-    Returns:
-        Finished, failed and unfinished jobs; a folder without Hydra's record is no job's.
     """
     return [_read_job(path, path.relative_to(folder).as_posix()) for path in job_folders(folder)]
 

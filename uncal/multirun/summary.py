@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import shlex
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from uncal.multirun.folder import FIGURES, SUMMARY, Multirun, Planned, read_captions
+from uncal.multirun.folder import FIGURES, RECORD, SUMMARY, Multirun, Planned, read_captions
 from uncal.multirun.jobs import REPLICATES, STATE, job_folders, shown, swept_keys
 from uncal.reporting.layout import write_whole
 from uncal.reporting.sections import Section
@@ -26,14 +27,10 @@ def write_summary(folder: Path, command: str, planned: Planned = None) -> Multir
 
     Jobs that run in parallel call this at the same time. Who reads early may write late, so each
     looks again after writing, and starts over if a job has changed meanwhile.
-
-    Args:
-        folder: ``hydra.sweep.dir``.
-        command: the command line that started the multirun.
-        planned: the overrides of every job to come; None if unknown. Folders of other jobs, of
-            an earlier multirun, are then counted and left out.
+    The arguments are those of :class:`Multirun`.
     """
-    Multirun(folder, command, planned).write_record()
+    record = json.dumps({"command": command, "planned": planned}, indent=1, ensure_ascii=False)
+    write_whole(folder / RECORD, f"{record}\n")
     for _ in range(10):  # enough for everyone, and an end in any case
         before = _state(folder)
         multirun = Multirun(folder, command, planned)

@@ -83,7 +83,7 @@ class Evaluation:
 
     def band(self, level: float | Fraction, n: int | None = None) -> tuple[int, int]:
         """The reference band at a level, as covered samples among n (default: the test set's)."""
-        return band_counts(self.n if n is None else n, self.m, miscoverage(level))
+        return _band(self.n if n is None else n, self.m, miscoverage(level))
 
 
 def guarantee_of(kind: type[IntervalCalibrator]) -> Guarantee:
@@ -114,15 +114,10 @@ def band_caveat(guarantee: Guarantee, split_by: str, test: str = "own") -> str:
 
 
 @lru_cache(maxsize=1024)
-def band_counts(n: int, m: int, alpha: Fraction) -> tuple[int, int]:
+def _band(n: int, m: int, alpha: Fraction) -> tuple[int, int]:
     """:func:`coverage_band` at :data:`BAND_CONFIDENCE` as counts, since only those compare exactly.
 
-    Args:
-        n: test samples.
-        m: samples in the uncertainty calibration set.
-        alpha: miscoverage level α in (0, 1).
-
-    >>> band_counts(1000, 1000, Fraction(1, 10))
+    >>> _band(1000, 1000, Fraction(1, 10))
     (852, 940)
     """
     low, high = (round(n * bound) for bound in coverage_band(n, m, alpha, BAND_CONFIDENCE))

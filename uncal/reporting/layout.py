@@ -39,12 +39,9 @@ def aligned_lines(grid: Sequence[Sequence[str]], gaps: Collection[int] = ()) -> 
     """
     first = max(len(line[0]) for line in grid)
     others = max(len(cell) for line in grid for cell in line[1:])
-    lines = []
-    for index, line in enumerate(grid):
-        if index in gaps:
-            lines.append("")
-        lines.append(f"{line[0]:<{first}}" + "".join(f"  {cell:>{others}}" for cell in line[1:]))
-    return lines
+    rows = [[f"{line[0]:<{first}}", *(f"{cell:>{others}}" for cell in line[1:])] for line in grid]
+    lines = [[*([""] if index in gaps else []), "  ".join(row)] for index, row in enumerate(rows)]
+    return [line for pair in lines for line in pair]
 
 
 def write_whole(path: Path, text: str) -> Path:

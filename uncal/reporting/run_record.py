@@ -8,6 +8,7 @@ import subprocess
 import time
 from collections.abc import Mapping, Sequence
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 
 from uncal import __version__
@@ -76,26 +77,15 @@ def command_line(module: str, overrides: Sequence[str]) -> str:
 
 
 def commit_of_code() -> str | None:
-    """Short hash of the commit that this code was taken from; "+" if it was changed since.
-
-    Returns:
-        The hash; None where the code lies in no git repository of its own.
-    """
+    """Short hash of this code's commit, "+" if changed since; None outside a git repository."""
     package = Path(__file__).resolve().parents[1]
     if not (package.parent / ".git").exists():
         return None
-    commands = (("rev-parse", "--short", "HEAD"), ("status", "--porcelain", "--", "uncal", "conf"))
+    git = ["git", "-C", str(package.parent)]
+    ask = partial(subprocess.run, capture_output=True, text=True, timeout=10, check=True)
     try:
-        head, changed = (
-            subprocess.run(
-                ["git", "-C", str(package.parent), *command],
-                capture_output=True,
-                text=True,
-                timeout=10,
-                check=True,
-            ).stdout.strip()
-            for command in commands
-        )
+        head = ask([*git, "rev-parse", "--short", "HEAD"]).stdout.strip()
+        changed = ask([*git, "status", "--porcelain", "--", "uncal", "conf"]).stdout.strip()
     except (OSError, subprocess.SubprocessError):
         return None
     return f"{head}+" if changed else head

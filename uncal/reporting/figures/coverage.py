@@ -28,9 +28,8 @@ def calibration_curves(curve: pd.DataFrame, label: str, caveat: str | None = Non
     band = f"{_BAND}, not binding" if caveat else f"{_BAND} (Beta-Binomial)"
     with style.paper_style():
         figure, panels = style.new_figure(
-            2, 2, height=4.9, label=label, sharex=True, heights=(2.0, 1.0)
+            2, 2, height=4.9, label=label, sharex=True, sharey="row", heights=(2.0, 1.0)
         )
-        style.light_grid(panels)
         for k, panel in enumerate(panels):
             difference, names = divmod(k, 2)
             by_dof = curve[curve["dof"].isin((style.TRANSLATIONS, style.ROTATIONS)[names])]
@@ -46,22 +45,14 @@ def calibration_curves(curve: pd.DataFrame, label: str, caveat: str | None = Non
                 picp = rows["picp"] - difference * rows["level"]
                 looks = style.dof_style(str(dof))
                 panel.plot(rows["level"], picp, **looks, clip_on=False, zorder=3)
-        for left, right in (panels[:2], panels[2:]):
-            low, high = zip(left.get_ylim(), right.get_ylim(), strict=True)
-            for panel in (left, right):
-                panel.set_ylim(min(low), max(high))
-        for top, bottom, title in zip(
-            panels[:2], panels[2:], ("Translations", "Rotations"), strict=True
-        ):
-            top.set_title(title)
-            top.set_ylim(0, 100)
-            top.set_yticks(range(0, 101, 20))
-            bottom.set_xlabel("Nominal coverage (%)")
         style.shared_legend(figure, panels[:2])
+        panels[0].set(ylim=(0, 100), yticks=range(0, 101, 20), title="Translations")
         panels[0].set_ylabel("Empirical coverage (%)")
+        panels[1].set_title("Rotations")
+        panels[2].set(xlim=(0, 100), xticks=range(0, 101, 20))
         panels[2].set_ylabel("Empirical − nominal\n(percentage points)")
-        panels[2].set_xlim(0, 100)
-        panels[2].set_xticks(range(0, 101, 20))
+        for panel in panels[2:]:
+            panel.set_xlabel("Nominal coverage (%)")
     law = (
         "where the Beta-Binomial law of split conformal intervals puts a point with probability "
         f"{100 * BAND_CONFIDENCE:g} %"
@@ -90,7 +81,6 @@ def joint_coverage(joint: pd.DataFrame, label: str, caveat: str | None = None) -
         figure, (panel,) = style.new_figure(
             1, 1, width=style.SINGLE_COLUMN, height=2.9, label=label
         )
-        style.light_grid([panel])
         low, high = joint["joint_low"], joint["joint_high"]
         panel.fill_between(levels, low, high, color=style.BAND_GREY, label=band)
         panel.axline((0, 0), slope=1, **style.REFERENCE)

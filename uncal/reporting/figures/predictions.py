@@ -85,11 +85,7 @@ def covered(rows: pd.DataFrame, level: float) -> NDArray[np.bool_]:
 
 
 def width_against_error(predictions: pd.DataFrame, label: str) -> NamedFigure | None:
-    """Six panels of interval width against |error|, with their rank correlation.
-
-    Returns:
-        The figure; None where no level has finite intervals in all DoF.
-    """
+    """Interval width against |error| per DoF; None where no level is finite in all of them."""
     finite = [v for v in bound_levels(predictions) if np.isfinite(bounds(predictions, v)).all()]
     if not finite:
         return None
@@ -101,7 +97,6 @@ def width_against_error(predictions: pd.DataFrame, label: str) -> NamedFigure | 
         above = "these intervals are not centred on the estimate, so it is only a guide."
     with style.paper_style():
         figure, panels = style.new_figure(2, 3, height=4.3, label=label)
-        style.light_grid(panels)
         for panel, (_, rows) in zip(panels, predictions.groupby("dof", sort=False), strict=True):
             _draw_points(panel, rows, level)
         for handle in style.shared_legend(figure, panels).legend_handles:
@@ -148,10 +143,8 @@ def _draw_points(panel: Axes, rows: pd.DataFrame, level: float) -> None:
         [0, right], [0, 2 * right], color=style.GREY, linestyle="--", linewidth=0.9,
         label="width = 2 |error|",
     )  # fmt: skip
-    panel.set_xlim(0, right)
-    panel.set_ylim(0, top)
     dof, unit = rows["dof"].iloc[0], rows["unit"].iloc[0]
-    panel.set_xlabel(f"|error| of {dof} ({unit})")
+    panel.set(xlim=(0, right), ylim=(0, top), xlabel=f"|error| of {dof} ({unit})")
     panel.set_ylabel(f"Width of {level:g} % interval ({unit})")
     rho = rank_correlation(width, error)
     shown = f"ρ = {rho:.2f}".replace("-", "−")
@@ -173,6 +166,7 @@ def _draw_regions(panel: Axes, rows: pd.DataFrame, window: int) -> None:
     estimate = moving_average(rows["estimate"].to_numpy() - truth, window)[shown]
     panel.plot(index, estimate, color=style.ORANGE, linewidth=1.1, label="estimate")
     panel.axhline(0.0, color=style.BLACK, linewidth=0.8, linestyle=":", label="truth")
+    panel.grid(visible=False)
     panel.set_xlim(1, max(2, len(rows)))
     panel.margins(y=0.05)
     panel.locator_params(nbins=5)

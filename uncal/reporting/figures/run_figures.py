@@ -26,10 +26,9 @@ def run_figures(run: Run) -> list[NamedFigure]:
 
 
 def figure_makers(run: Run) -> dict[str, Callable[[], NamedFigure | None]]:
-    """One function per figure, so that one that fails leaves the others.
+    """Name of a figure → what draws it (None where the run does not allow it), one by one.
 
-    Returns:
-        Name of the figure → what draws it, or answers None where the run does not allow it.
+    One that fails leaves the others.
     """
     folder, label, caveat = run.folder, run.label, run.caveat
 

@@ -7,8 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
-from types import MappingProxyType
-from typing import Any
+from typing import Any, Literal
 
 import matplotlib as mpl
 from matplotlib.axes import Axes
@@ -34,14 +33,13 @@ GREY = "#595959"
 BAND_GREY = "#D9D9D9"
 """Of shaded bands that stand for theory."""
 
-REFERENCE: Mapping[str, Any] = MappingProxyType({"color": GREY, "linewidth": 0.8, "linestyle": ":"})
+REFERENCE: Mapping[str, Any] = {"color": GREY, "linewidth": 0.8, "linestyle": ":"}
 """Look of a line at what should be."""
 
-DOF_COLOURS = MappingProxyType(
-    dict(zip(DOF_NAMES, (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY), strict=True))
-)
-DOF_LINES = MappingProxyType(dict(zip(DOF_NAMES, ("-", "--", "-.") * 2, strict=True)))
-DOF_MARKERS = MappingProxyType(dict(zip(DOF_NAMES, "os^Dvp", strict=True)))
+_HUES = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
+DOF_COLOURS: Mapping[str, str] = dict(zip(DOF_NAMES, _HUES, strict=True))
+DOF_LINES: Mapping[str, str] = dict(zip(DOF_NAMES, ("-", "--", "-.") * 2, strict=True))
+DOF_MARKERS: Mapping[str, str] = dict(zip(DOF_NAMES, "os^Dvp", strict=True))
 """So that colour is never the only cue."""
 
 TRANSLATIONS, ROTATIONS = DOF_NAMES[:3], DOF_NAMES[3:]
@@ -49,8 +47,8 @@ TRANSLATIONS, ROTATIONS = DOF_NAMES[:3], DOF_NAMES[3:]
 
 def dof_style(dof: str) -> dict[str, Any]:
     """Colour, line, marker and label that a DoF has in every figure."""
-    looks = {"color": DOF_COLOURS[dof], "linestyle": DOF_LINES[dof], "marker": DOF_MARKERS[dof]}
-    return {**looks, "label": dof}
+    colour, line, marker = (each[dof] for each in (DOF_COLOURS, DOF_LINES, DOF_MARKERS))
+    return {"color": colour, "linestyle": line, "marker": marker, "label": dof}
 
 
 _LABEL_POINTS = 6.5
@@ -70,6 +68,7 @@ _STYLE = {
     "ytick.major.width": 0.6,
     "lines.linewidth": 1.2,
     "lines.markersize": 3.5,
+    "axes.grid": True,
     "grid.color": "#E6E6E6",
     "grid.linewidth": 0.5,
     "axes.axisbelow": True,
@@ -98,13 +97,10 @@ def new_figure(
     height: float,
     label: str,
     sharex: bool = False,
-    sharey: bool = False,
+    sharey: bool | Literal["row"] = False,
     heights: Sequence[float] | None = None,
 ) -> tuple[Figure, list[Axes]]:
-    """A figure without pyplot, laid out so that nothing overlaps; call it in :func:`paper_style`.
-
-    Returns:
-        The figure and its panels, row by row.
+    """A figure and its panels, row by row, without pyplot; call it in :func:`paper_style`.
 
     >>> with paper_style():
     ...     figure, panels = new_figure(1, 2, height=2.4, label="simulated")
@@ -122,12 +118,6 @@ def new_figure(
         rows, columns, sharex=sharex, sharey=sharey, squeeze=False, height_ratios=heights
     )
     return figure, list(grid.flat)
-
-
-def light_grid(panels: Iterable[Axes]) -> None:
-    """Faint lines to read values by."""
-    for panel in panels:
-        panel.grid(visible=True)
 
 
 def shared_legend(figure: Figure, panels: Iterable[Axes]) -> Legend:

@@ -24,9 +24,7 @@ class PublishedPaper:
     """All numbers taken from the paper, and where they stand in it.
 
     Attributes:
-        title: of the paper.
-        authors: their family names.
-        venue: with the year.
+        reference: authors, title, venue.
         address: where to read it.
         values: cells of Table 1, then of Table 2, in the order printed: table, data, method, dof,
             unit, level (percent), metric and text, the value as printed.
@@ -38,9 +36,7 @@ class PublishedPaper:
         doubts: cells that cannot be right as printed.
     """
 
-    title: str
-    authors: str
-    venue: str
+    reference: str
     address: str
     values: pd.DataFrame
     errors: Mapping[str, tuple[str, str]]
@@ -51,7 +47,7 @@ class PublishedPaper:
 
     def source(self, place: str) -> str:
         """A sentence's worth of reference."""
-        return f"{self.authors}, “{self.title}”, {self.venue}, {place}"
+        return f"{self.reference}, {place}"
 
     def table(self, number: int) -> pd.DataFrame:
         """The cells of one table."""
