@@ -86,15 +86,12 @@ class ConformalCalibration(lightning.Callback):
         return self.calibrator
 
     def predict(self, module: LightningModule, batch: object, level: float | Fraction) -> Intervals:
-        """Intervals of new data.
+        """(B, D) intervals of new data.
 
         Args:
             module: the one that was calibrated.
             batch: of the same form as the calibration's; its target is not read.
             level: coverage level in (0, 1).
-
-        Returns:
-            (B, D) bounds.
 
         Raises:
             UncertaintyError: not calibrated, or the module has other weights since.

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from uncal.geometry import DOF_NAMES, DOF_SCALE, DOF_UNITS
 from uncal.metrics.bootstrap import bootstrap_ratio, ratio
@@ -35,10 +34,11 @@ def control_table(control: ControlPrediction, mae_mean: Sequence[float]) -> pd.D
         {
             "dof": DOF_NAMES,
             "unit": DOF_UNITS,
-            "mae_before": scale * _means(before),
+            # Column by column, since numpy then sums in pairs, which loses no digits.
+            "mae_before": scale * [column.mean() for column in before.T],
             "mae_mean": mae_mean,
-            "mae_single": scale * _means(with_image),
-            "mae_blind": scale * _means(without),
+            "mae_single": scale * [column.mean() for column in with_image.T],
+            "mae_blind": scale * [column.mean() for column in without.T],
             "contribution": 100 * contribution,
             "contribution_low": 100 * low,
             "contribution_high": 100 * high,
@@ -48,11 +48,6 @@ def control_table(control: ControlPrediction, mae_mean: Sequence[float]) -> pd.D
         }
     )
     return frame
-
-
-def _means(errors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(6,) of (n, 6); column by column, which sums in pairs and so loses no digits."""
-    return np.array([column.mean() for column in errors.T])
 
 
 def resampling_groups(frames: Sequence[FrameId]) -> tuple[str, list[str]]:

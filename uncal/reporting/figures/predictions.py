@@ -7,8 +7,8 @@ from typing import TypeAlias
 
 import numpy as np
 import pandas as pd
+import seaborn as sns
 from matplotlib.axes import Axes
-from matplotlib.colors import to_rgb
 from numpy.typing import NDArray
 from scipy.stats import spearmanr  # type: ignore[import-untyped]
 
@@ -53,14 +53,11 @@ def smoothing_window(n: int) -> int:
 
 
 def moving_average(values: Column, window: int) -> Column:
-    """Mean of the ``window`` values around each; at both ends of those there are.
+    """(n,) means of the ``window`` values around each; at both ends of those there are.
 
     Args:
         values: (n,); a mean with an infinite one among them is NaN.
         window: odd.
-
-    Returns:
-        (n,).
 
     >>> moving_average(np.array([0.0, 3.0, 6.0, 3.0]), window=3).tolist()
     [1.5, 3.0, 4.0, 4.5]
@@ -157,7 +154,9 @@ def _draw_regions(panel: Axes, rows: pd.DataFrame, window: int) -> None:
     # Thousands of smoothed points would make a PDF of megabytes that looks the same.
     shown = np.arange(0, len(rows), max(1, len(rows) // POINTS))
     index = shown + 1
-    for k, (level, colour) in enumerate(zip(levels, _shades(len(levels)), strict=True)):
+    # Tints of one hue, the first the strongest: they stay in order in grey print too.
+    tints = sns.light_palette(style.BLUE, len(levels) + 2, reverse=True)[1:-1]
+    for k, (level, colour) in enumerate(zip(levels, tints, strict=True)):
         lower, upper = (moving_average(end - truth, window)[shown] for end in bounds(rows, level))
         panel.fill_between(
             index, lower, upper, color=colour, linewidth=0, zorder=1 - k / 100,
@@ -179,13 +178,6 @@ def _draw_regions(panel: Axes, rows: pd.DataFrame, window: int) -> None:
     finite = any(text != "∞" for text in coverage)
     title = f"{' / '.join(coverage)} % covered" if finite else "no finite interval"
     panel.set_title(f"{dof}: {title}")
-
-
-def _shades(count: int) -> list[tuple[float, float, float]]:
-    """Tints of one hue, the first the strongest: they stay in order in grey print too."""
-    strength = np.linspace(0.75, 0.2, count) if count > 1 else np.array([0.5])
-    hue = np.array(to_rgb(style.BLUE))
-    return [tuple(s * hue + (1.0 - s)) for s in strength]
 
 
 def _caption(predictions: pd.DataFrame, n: int, window: int) -> str:

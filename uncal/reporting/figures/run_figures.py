@@ -26,10 +26,7 @@ def run_figures(run: Run) -> list[NamedFigure]:
 
 
 def figure_makers(run: Run) -> dict[str, Callable[[], NamedFigure | None]]:
-    """Name of a figure → what draws it (None where the run does not allow it), one by one.
-
-    One that fails leaves the others.
-    """
+    """Name of a figure → what draws it, or returns None where the run does not allow it."""
     folder, label, caveat = run.folder, run.label, run.caveat
 
     @cache

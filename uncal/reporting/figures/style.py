@@ -155,12 +155,9 @@ class NamedFigure:
 
 
 def save(figure: NamedFigure, folder: Path) -> tuple[Path, Path]:
-    """Write a figure for the screen (PNG) and for a paper (PDF), each whole or not at all.
+    """Write ``<name>.png`` for the screen and ``<name>.pdf`` for a paper, each whole or not at all.
 
     The same figure gives the same bytes: no file carries the time of its making.
-
-    Returns:
-        ``<folder>/<name>.png`` and ``<folder>/<name>.pdf``.
     """
     folder.mkdir(parents=True, exist_ok=True)
     png, pdf = (folder / f"{figure.name}.{kind}" for kind in ("png", "pdf"))
