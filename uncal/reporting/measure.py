@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from uncal.geometry import DOF_NAMES, DOF_SCALE, DOF_UNITS, pose_to_matrix
-from uncal.metrics.conditional import count_by_bin, quantile_edges
+from uncal.metrics.conditional import coverage_by_bin
 from uncal.metrics.functional import covered, interval_score, mpiw
 from uncal.metrics.joint import jointly_covered, relative_size
 from uncal.metrics.joint import log_volume as log_volume_of_boxes
@@ -163,8 +163,8 @@ def conditional_table(
         made = test.intervals(level)
         inside = covered(made.lower, made.upper, test.target)
         for by, (values, units) in splits.items():
-            inner = quantile_edges(values, bins)
-            counts, hits = (each.T.flatten() for each in count_by_bin(inside, values, inner))
+            inner, *per_bin = coverage_by_bin(inside, values, bins)
+            counts, hits = (each.T.flatten() for each in per_bin)
             edges = torch.cat([values.amin(0)[None], inner, values.amax(0)[None]]) * _SCALE[units]
             none = (math.nan, math.nan)
             band = [test.band(level, n) if n else none for n in counts.tolist()]
