@@ -13,6 +13,7 @@ from uncal.models.module import CalibrationModule
 from uncal.reporting.figures.run_figures import figure_makers
 from uncal.reporting.figures.style import save
 from uncal.reporting.run import Run
+from uncal.reporting.run_record import read_record
 
 log = logging.getLogger(__name__)
 
@@ -33,8 +34,10 @@ class Figures(lightning.Callback):
         """Draw, write, log; a figure that fails is named, and the others and the run go on."""
         if stage != "test" or not trainer.is_global_zero:
             return
-        settings = pl_module.recipe if isinstance(pl_module, CalibrationModule) else {}
-        run = Run(self.folder, {"settings": settings, "label": self.label})
+        record = (read_record(self.folder) or {}) | {"label": self.label}
+        if isinstance(pl_module, CalibrationModule):  # its record is still to be written
+            record["settings"] = pl_module.recipe
+        run = Run(self.folder, record)
         for name, draw in figure_makers(run).items():
             try:
                 if (figure := draw()) is not None:
