@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 
 import matplotlib as mpl
@@ -15,63 +14,54 @@ from uncal.reporting.layout import write_whole
 
 MARKERS = "osD^vP"
 
-_LATENCY = {
-    "network": "{case}",
-    "frames": "{batch}",
-    "dropout": "{dropout}",
-    "contestant": "{contestant}",
-    "ms": "{milliseconds:.1f}",
-    "ratio": "{ratio:.2f} ({ratio_low:.2f}-{ratio_high:.2f})",
-    "operations": "{operations:.2f}",
-}
-
-_TRADE = {
-    "dropout": "{dropout}",
-    "level": "{level:g}%",
-    "ms": "{milliseconds:.1f}",
-    "ratio": "{ratio:.2f}",
-    "IS X-Z (cm)": "{is_translation:.2f}",
-    "IS rotations (°)": "{is_rotation:.3f}",
-    "MPIW X-Z (cm)": "{mpiw_translation:.2f}",
-    "MPIW rotations (°)": "{mpiw_rotation:.3f}",
-    "PICP mean (lowest-highest)": "{picp:.1f} ({picp_low:.1f}-{picp_high:.1f})",
-    "MAE X-Z (cm)": "{mae_translation:.2f}",
-    "MAE rotations (°)": "{mae_rotation:.3f}",
-}
-"""Heading → cell, made of a row's columns."""
-
-_WORDS = ("network", "dropout", "contestant")
-
 
 def write_latency(folder: Path, rows: pd.DataFrame, passes: int, rounds: int, where: str) -> str:
-    """Write ``latency.csv`` and ``latency.md``; returns the text of the latter."""
-    about = (
+    """Write ``latency.csv`` and ``latency.md``."""
+    write_csv(folder / "latency.csv", rows)
+    lines = [
+        f"# {passes} stochastic passes in units of one deterministic pass",
+        "",
         f"{where}. Medians of {rounds} rounds in which all contestants of a block took turns; in "
         "brackets the smallest and largest ratio. Operations: multiplications and additions in the "
-        "same units, the ratio on a machine that is never kept waiting."
-    )
-    title = f"{passes} stochastic passes in units of one deterministic pass"
-    return _write(folder / "latency", rows, title, about, _LATENCY)
+        "same units, the ratio on a machine that is never kept waiting.",
+        "",
+        "| network | frames | dropout | contestant | ms | ratio | operations |",
+        "|:--|--:|:--|:--|--:|--:|--:|",
+    ]
+    lines += [
+        f"| {row.case} | {row.batch} | {row.dropout} | {row.contestant} "
+        f"| {row.milliseconds:.1f} | {row.ratio:.2f} ({row.ratio_low:.2f}-{row.ratio_high:.2f}) "
+        f"| {row.operations:.2f} |"
+        for row in rows.itertuples()
+    ]
+    text = "\n".join(lines) + "\n"
+    write_whole(folder / "latency.md", text)
+    return text
 
 
 def write_trade(folder: Path, rows: pd.DataFrame, label: str, ckpt: str, where: str) -> str:
-    """Write ``trade.csv``, ``trade.md`` and ``trade.png``; returns the text."""
-    about = (
+    """Write ``trade.csv``, ``trade.md`` and ``trade.png``."""
+    write_csv(folder / "trade.csv", rows)
+    lines = [
+        f"# Where dropout stands, on {label} data",
+        "",
         f"The same weights ({ckpt}), calibrated and tested anew with dropout in fewer layers. "
-        f"{where}; time for one frame, ratio to one deterministic pass."
-    )
-    _draw(folder / "trade.png", rows, label)
-    return _write(folder / "trade", rows, f"Where dropout stands, on {label} data", about, _TRADE)
-
-
-def _write(stem: Path, rows: pd.DataFrame, title: str, about: str, cells: Mapping[str, str]) -> str:
-    write_csv(stem.with_suffix(".csv"), rows)
-    rule = "|".join(":--" if heading in _WORDS else "--:" for heading in cells)
-    lines = [f"# {title}", "", about, "", f"| {' | '.join(cells)} |", f"|{rule}|"]
-    line = f"| {' | '.join(cells.values())} |"
-    lines += [line.format(**{str(k): v for k, v in row.items()}) for _, row in rows.iterrows()]
+        f"{where}; time for one frame, ratio to one deterministic pass.",
+        "",
+        "| dropout | level | ms | ratio | IS X-Z (cm) | IS rotations (°) | MPIW X-Z (cm) "
+        "| MPIW rotations (°) | PICP mean (lowest-highest) | MAE X-Z (cm) | MAE rotations (°) |",
+        "|:--|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|",
+    ]
+    lines += [
+        f"| {r.dropout} | {r.level:g}% | {r.milliseconds:.1f} | {r.ratio:.2f} "
+        f"| {r.is_translation:.2f} | {r.is_rotation:.3f} | {r.mpiw_translation:.2f} "
+        f"| {r.mpiw_rotation:.3f} | {r.picp:.1f} ({r.picp_low:.1f}-{r.picp_high:.1f}) "
+        f"| {r.mae_translation:.2f} | {r.mae_rotation:.3f} |"
+        for r in rows.itertuples()
+    ]
     text = "\n".join(lines) + "\n"
-    write_whole(stem.with_suffix(".md"), text)
+    write_whole(folder / "trade.md", text)
+    _draw(folder / "trade.png", rows, label)
     return text
 
 
