@@ -63,7 +63,7 @@ def measure_latency(
     with progress_bar(case, rounds * len(contestants), leave=False) as bar:
         for _ in range(rounds):
             for each, measured in zip(contestants, times, strict=True):
-                measured.append(1e3 * _time(each.call, inputs[0].device))
+                measured.append(1e3 * seconds(each.call, inputs[0].device))
                 bar.update()
     by_round = pd.DataFrame(times).T
     ratios = by_round.div(by_round[0], axis=0)
@@ -148,7 +148,8 @@ def _operations(call: Callable[[], object]) -> int:
     return int(counter.get_total_flops())
 
 
-def _time(call: Callable[[], object], device: torch.device) -> float:
+def seconds(call: Callable[[], object], device: torch.device) -> float:
+    """How long a call takes, the work that it leaves to a GPU included."""
     if device.type == "cuda":
         torch.cuda.synchronize(device)
     start = time.perf_counter()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import statistics
-import time
 from pathlib import Path
 from typing import cast
 
@@ -11,6 +10,7 @@ import lightning
 import pandas as pd
 import torch
 
+from uncal.benchmarking.latency import seconds
 from uncal.benchmarking.placement import placements
 from uncal.errors import ConfigurationError, RecordingError
 from uncal.geometry import DOF_SCALE
@@ -110,22 +110,15 @@ def _time(
     engine: MCDropout, network: torch.nn.Module, inputs: tuple[object, ...], rounds: int
 ) -> tuple[float, float]:
     """Milliseconds of the passes for one frame, and their ratio to one deterministic pass."""
-    many, ratios = [], []
-    for number in range(3 * rounds + 1):
-        start = time.perf_counter()
-        with torch.inference_mode():
-            network(*inputs)
-        _wait()
-        middle = time.perf_counter()
-        engine(*inputs, seed=0)
-        _wait()
-        end = time.perf_counter()
-        if number > 0:  # the first round warms up
-            many.append(1e3 * (end - middle))
-            ratios.append((end - middle) / (middle - start))
-    return statistics.median(many), statistics.median(ratios)
-
-
-def _wait() -> None:
-    if torch.cuda.is_available():
-        torch.cuda.synchronize()
+    device = next(network.parameters()).device
+    with torch.inference_mode():
+        times = [
+            (
+                seconds(lambda: network(*inputs), device),
+                seconds(lambda: engine(*inputs, seed=0), device),
+            )
+            for _ in range(3 * rounds + 1)
+        ]
+    del times[0]  # it warms up
+    ratios = (passes / one for one, passes in times)
+    return 1e3 * statistics.median(passes for _, passes in times), statistics.median(ratios)

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from itertools import cycle
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import seaborn as sns
 from matplotlib.axes import Axes
@@ -159,6 +160,9 @@ def _finish_x(sweep: Sweep, axes: Sequence[Axes], columns: int) -> None:
     ticks = sorted(sweep.jobs["x"].unique())
     logarithmic = ticks[0] > 0 and ticks[-1] / ticks[0] > 16
     choice = PAPERS_CHOICE.get(sweep.over)
+    places = np.log(ticks) if logarithmic else np.array(ticks)
+    # Inches from one tick to the next, below which their labels would touch.
+    closest = (style.DOUBLE_COLUMN / columns - 0.5) * np.diff(places).min() / np.ptp(places)
     for axis in axes:
         if choice is not None and ticks[0] < choice < ticks[-1]:
             label = f"{choice:g}, the paper's choice"
@@ -168,8 +172,7 @@ def _finish_x(sweep: Sweep, axes: Sequence[Axes], columns: int) -> None:
         if len(ticks) <= _MOST_TICKS:
             axis.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
             axis.minorticks_off()
-            # Upright, many labels would touch each other.
-            axis.tick_params(axis="x", rotation=90 if len(ticks) * columns > 10 else 0)
+            axis.tick_params(axis="x", rotation=90 if closest < 0.25 else 0)
         axis.set_xlabel("")
     for axis in axes[-columns:]:
         axis.set_xlabel(sentence(key_name(sweep.over)))

@@ -121,6 +121,8 @@ class Multirun:
         Swept keys, seeds, tables, then what is the job's: fingerprint of the weights, whether they
         were reused, label of the data, folder. All but the tables is text, "" where unset.
         """
+        if not self.finished:
+            return None
         import pandas as pd
 
         parts = []
@@ -136,7 +138,7 @@ class Multirun:
             assert job.table is not None
             table = job.table.assign(**before, **own)
             parts.append(table[[*before, *job.table.columns, *own]])
-        return pd.concat(parts, ignore_index=True) if parts else None
+        return pd.concat(parts, ignore_index=True)
 
     def csv(self) -> str:
         """summary.csv: a row per job, level and DoF; columns that no job has are left out.

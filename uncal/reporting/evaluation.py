@@ -22,7 +22,6 @@ Guarantee = Literal["exact", "by group", "none"]
 """An interval method's guarantee: coverage with the Beta-Binomial law of pooled frames, coverage
 within a group or for a new group (where that law does not apply), or none."""
 
-
 _NO_GUARANTEE = {
     "none": "the interval method guarantees no coverage",
     "by group": "the interval method guarantees coverage by group, not for pooled frames",

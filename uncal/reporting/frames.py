@@ -32,7 +32,6 @@ _PARSERS: dict[str, Callable[[str], object]] = {
     "integer": int,
     "truth": {"True": True, "False": False}.__getitem__,
     "number": float,
-    "number, not NaN": float,
 }
 """Kind → reader of a cell; Python's own ``float`` reads a decimal back exactly."""
 
@@ -240,7 +239,7 @@ def _parsed(cells: pd.Series[str], known: bool) -> list[object]:
         if not isinstance(cell, str) or not cell:
             raise ValueError(f"line {line} has no {name}")
         try:
-            values.append(_PARSERS[kind](cell))
+            values.append(_PARSERS[kind.partition(",")[0]](cell))
             if kind.endswith("not NaN") and values[-1] != values[-1]:
                 raise ValueError
         except (ValueError, KeyError):
