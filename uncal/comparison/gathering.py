@@ -32,11 +32,6 @@ class Gathered:
         """All, for the CSV."""
         return (*self.single, *(run for each in self.multiruns for run in each.runs))
 
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """What data the runs used, each once."""
-        return tuple(dict.fromkeys(run.label for run in self.all_runs))
-
 
 def gather(folders: Sequence[Path]) -> Gathered:
     """Read run folders and multirun folders, in the order given.

@@ -79,9 +79,10 @@ def compare(paper: PublishedPaper, gathered: Gathered, command: str) -> Content:
     for multirun in gathered.multiruns:
         title = f"{multirun.name}, a multirun: {multirun.label}"
         parts.append(Part(title, multirun_tables(multirun), pictures(multirun)))
+    labels = dict.fromkeys(run.label for run in gathered.all_runs)
     now = datetime.now().astimezone().isoformat(sep=" ", timespec="minutes")
     return Content(
-        title=f"Runs on {', '.join(gathered.labels)} next to the paper",
+        title=f"Runs on {', '.join(labels)} next to the paper",
         origin=f"{command} · uncal {__version__} · {now}",
         notice=_notice(gathered),
         parts=[part for part in parts if part.tables or part.pictures],
@@ -99,11 +100,7 @@ def html_page(content: Content) -> str:
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )
-    environment.filters |= {
-        "spans": _spans,
-        "sources": _sources,
-        "base64": _base64,
-    }
+    environment.filters |= {"spans": _spans, "sources": _sources, "base64": _base64}
     template = environment.get_template("report.html.j2")
     return template.render(content=content, notice_title=NOTICE_TITLE)
 

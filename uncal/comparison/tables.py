@@ -12,22 +12,13 @@ from uncal.comparison.gathering import Gathered, shown
 from uncal.geometry import DOF_NAMES, DOF_UNITS
 from uncal.multirun.folder import Multirun
 from uncal.multirun.summary import summary_sections
+from uncal.reporting import sections
 from uncal.reporting.evaluation import BAND_CONFIDENCE
 from uncal.reporting.frames import CONDITIONAL, CONTROL, CURVE, JOINT, Schema
 from uncal.reporting.layout import length
 from uncal.reporting.published.paper import MCD_ALONE, MCD_CP, PublishedPaper
 from uncal.reporting.run import UNKNOWN, Run
-from uncal.reporting.sections import (
-    DOF_HEADINGS,
-    OUTSIDE,
-    Section,
-    conditional_section,
-    control_section,
-    curve_section,
-    joint_section,
-    marked,
-    numbers,
-)
+from uncal.reporting.sections import DOF_HEADINGS, Section
 
 METRICS = {"picp": "PICP (%)", "mpiw": "MPIW", "is": "IS"}
 
@@ -113,7 +104,7 @@ def table_2(paper: PublishedPaper, runs: Sequence[Run]) -> Section:
     count = len(rows)
     for run in alone:
         for level, group in run.per_dof.groupby("level", sort=False):
-            rows.append([run.source, f"{level:g}%", *numbers(group["picp"], 1)])
+            rows.append([run.source, f"{level:g}%", *sections.numbers(group["picp"], 1)])
     without = [
         "None of the runs has these intervals. python -m uncal.evaluate ckpt=…/best.ckpt "
         "interval=gaussian gives them from weights that are trained already."
@@ -164,7 +155,7 @@ def point_errors(paper: PublishedPaper, runs: Sequence[Run]) -> Section:
         notes=[
             "Translation and rotation: mean over the three axes; in the last line of a run the "
             "length and the angle of the whole error. The paper does not say which of the two its "
-            "numbers are.",
+            "sections.numbers are.",
             f"Paper's rows: {paper.source('section 4.4')}. Its claim is that MC dropout does not "
             "cost accuracy: for a run, that is the mean of the passes against one pass without "
             "dropout.",
@@ -181,21 +172,20 @@ def tables_beyond_the_paper(runs: Sequence[Run]) -> list[Section]:
 
     def joint(run: Run, frame: pd.DataFrame) -> Section:
         at_all = frame.set_index("level").reindex(levels).reset_index()
-        return joint_section(at_all, run.guarantee)
+        return sections.joint_section(at_all, run.guarantee)
 
     made = [
         _of_sections(runs, JOINT, joint, "The paper reports no joint coverage."),
         _of_sections(
-            runs, CONTROL, lambda _, frame: control_section(frame), "The paper has no such control."
+            runs, CONTROL, lambda _, frame: sections.control_section(frame),
+            "The paper has no such control.",
         ),
-        _of_sections(runs, CONDITIONAL, lambda _, frame: conditional_section(frame)),
+        _of_sections(runs, CONDITIONAL, lambda _, frame: sections.conditional_section(frame)),
         _of_sections(
-            runs,
-            CURVE,
-            lambda run, frame: curve_section(frame, run.guarantee),
+            runs, CURVE, lambda run, frame: sections.curve_section(frame, run.guarantee),
             "The paper shows its curves as figures, without numbers.",
         ),
-    ]
+    ]  # fmt: skip
     return [table for table in made if table is not None]
 
 
@@ -221,15 +211,15 @@ def _of_sections(
     having = [run for run in runs if schema in run.tables]
     if not having:
         return None
-    sections = {run.name: section_of(run, run.tables[schema]) for run in having}
+    own = {run.name: section_of(run, run.tables[schema]) for run in having}
     notes_of: dict[str, list[str]] = {}
-    for name, section in sections.items():
+    for name, section in own.items():
         for note in section.notes:
             notes_of.setdefault(note, []).append(name)
-    rows = [[run.source, *line] for run in having for line in sections[run.name].grid[1:]]
+    rows = [[run.source, *line] for run in having for line in own[run.name].grid[1:]]
     return Section(
-        " / ".join(dict.fromkeys(section.title for section in sections.values())),
-        [["source", *sections[having[0].name].grid[0]], *rows],
+        " / ".join(dict.fromkeys(section.title for section in own.values())),
+        [["source", *own[having[0].name].grid[0]], *rows],
         texts=2,
         notes=[*by_name(notes_of, len(having)), *notes, *_lacking(runs, schema)],
         origins=[run.origin for run in having],
@@ -286,7 +276,7 @@ def _interval_cell(run: Run, row: pd.Series[float] | None, metric: str) -> str:
     if row is None:
         return "–"
     if metric == "picp":
-        return marked(row["picp"], row["in_band"], run.guarantee == "exact")
+        return sections.marked(row["picp"], row["in_band"], run.guarantee == "exact")
     return length(row[metric], str(row["unit"]))
 
 
@@ -321,7 +311,7 @@ def _band_notes(runs: Sequence[Run]) -> list[str]:
             "on."
         )
     if any(not all(run.per_dof["in_band"]) for run in exact):
-        notes.append(OUTSIDE)
+        notes.append(sections.OUTSIDE)
     if any(math.isinf(run.per_dof["mpiw"].max()) for run in runs):
         notes.append(_TOO_SMALL)
     return notes

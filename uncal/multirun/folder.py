@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias, cast
 
 from uncal.multirun.jobs import REPLICATES, Job, read_jobs, shown, swept_keys
 from uncal.reporting.layout import read_json
@@ -38,7 +38,7 @@ OPTIONAL: tuple[str, ...] = (
 """And from joint.csv (the same for all DoF of a level) and control.csv (for all levels of a DoF),
 where there are such files."""
 
-Planned = Sequence[Mapping[str, str]] | None
+Planned: TypeAlias = Sequence[Mapping[str, str]] | None
 """The overrides of every job to come; None if unknown."""
 
 
@@ -64,9 +64,8 @@ class Multirun:
         """The multirun in a folder; its command may not be recorded."""
         record = read_json(folder / RECORD, "taken for missing") or {}
         unknown = f"command {UNKNOWN} (no {RECORD})"
-        planned = record.get("planned")
-        known = planned if isinstance(planned, list) else None
-        return cls(folder, str(record.get("command", unknown)), known, name)
+        planned = cast(Planned, record.get("planned"))
+        return cls(folder, str(record.get("command", unknown)), planned, name)
 
     @property
     def captions(self) -> Path:
@@ -138,7 +137,8 @@ class Multirun:
             assert job.table is not None
             table = job.table.assign(**before, **own)
             parts.append(table[[*before, *job.table.columns, *own]])
-        return pd.concat(parts, ignore_index=True)
+        frame: pd.DataFrame = pd.concat(parts, ignore_index=True)
+        return frame
 
     def csv(self) -> str:
         """summary.csv: a row per job, level and DoF; columns that no job has are left out.
