@@ -29,6 +29,7 @@ log = logging.getLogger(__name__)
 def main(config: DictConfig) -> None:
     """Measure, write, show."""
     # Here and not above: they take seconds, which --help has no use for.
+    import pandas as pd
     import torch
 
     from uncal.benchmarking.latency import measure_latency
@@ -52,7 +53,7 @@ def main(config: DictConfig) -> None:
     device = pick_device(config.device)
     compiled = device.type == "cuda" if config.compile == "auto" else bool(config.compile)
     where = f"{device_name(device)}, {torch.get_num_threads()} threads, torch {torch.__version__}"
-    rows, text = [], ""
+    rows, text = pd.DataFrame(), ""
     for case in filter(None, (config.cases or {}).values()):
         try:
             model = compose("train", overrides=[*case.model, "mcd.chunk=auto"])
@@ -66,7 +67,7 @@ def main(config: DictConfig) -> None:
             )
             with torch.no_grad():
                 question = estimator.question(inputs)
-            rows += measure_latency(
+            measured = measure_latency(
                 f"{case.name} {case.size[0]}×{case.size[1]}",
                 estimator.repeated,
                 question.arguments,
@@ -74,15 +75,16 @@ def main(config: DictConfig) -> None:
                 config.rounds,
                 compiled,
             )
+            rows = pd.concat([rows, measured])
             # After every block, so that an interrupted run leaves what it has measured.
             text = write_latency(folder, rows, config.passes, config.rounds, where)
-    if rows:
+    if len(rows):
         sys.stdout.write(f"\n{text}\n{folder}/latency.csv\n")
     if config.ckpt is not None:
         trade, label = measure_trade(Path(config.ckpt), config.data_root, config.rounds, device)
         text = write_trade(folder, trade, label, config.ckpt, where)
         sys.stdout.write(f"\n{text}\n{folder}/trade.png\n")
-    elif not rows:
+    elif rows.empty:
         raise ConfigurationError("no case and no ckpt: there is nothing to measure")
 
 

@@ -42,7 +42,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     from uncal.comparison.page import compare, html_page, markdown_text, terminal_text
     from uncal.comparison.tidy import tidy_csv
     from uncal.reporting.layout import write_whole
-    from uncal.reporting.published import published_paper
+    from uncal.reporting.published.paper import published_paper
     from uncal.system.disk import check_writable
 
     quiet_libraries()

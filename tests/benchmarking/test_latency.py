@@ -4,6 +4,7 @@ import csv
 from pathlib import Path
 from typing import cast
 
+import pandas as pd
 import torch
 from torch import Tensor, nn
 from transformers import MobileViTConfig
@@ -12,7 +13,6 @@ from transformers.models.mobilevit.modeling_mobilevit import MobileViTLayer
 from uncal.benchmarking.latency import DETERMINISTIC, measure_latency
 from uncal.benchmarking.placement import placements
 from uncal.benchmarking.tables import write_latency, write_trade
-from uncal.benchmarking.trade import TradeRow
 
 
 class TwoStages(nn.Module):
@@ -42,24 +42,28 @@ def test_placements_go_from_all_layers_to_the_head() -> None:
 def test_rows_have_times_ratios_and_the_floor(tmp_path: Path) -> None:
     torch.manual_seed(0)
     rows = measure_latency("tiny", TwoStages(), (torch.randn(2, 4, 16, 16),), 5, 2, compiled=False)
-    assert rows[0].contestant == DETERMINISTIC
-    assert rows[0].ratio == rows[0].operations == 1.0
-    by_name = {(row.dropout, row.contestant): row for row in rows}
-    assert by_name["from the first stage on", "loop"].operations == 5.0
-    assert by_name["from the first stage on", "batch"].operations == 5.0
-    shared = [by_name[where, "shared"].operations for where in placements(TwoStages())]
+    assert rows["contestant"][0] == DETERMINISTIC
+    assert rows["ratio"][0] == rows["operations"][0] == 1.0
+    operations = rows.set_index(["dropout", "contestant"])["operations"]
+    assert operations["from the first stage on", "loop"] == 5.0
+    assert operations["from the first stage on", "batch"] == 5.0
+    shared = [operations[where, "shared"] for where in placements(TwoStages())]
     assert 5.0 > shared[0] > shared[1] > shared[2] > 1.0
-    assert all(row.ratio_low <= row.ratio <= row.ratio_high for row in rows)
-    assert all(row.milliseconds > 0 for row in rows)
+    assert rows["ratio"].between(rows["ratio_low"], rows["ratio_high"]).all()
+    assert (rows["milliseconds"] > 0).all()
     text = write_latency(tmp_path, rows, 5, 2, "somewhere")
     assert text == (tmp_path / "latency.md").read_text(encoding="utf-8")
     with (tmp_path / "latency.csv").open(encoding="utf-8") as file:
-        assert [row["contestant"] for row in csv.DictReader(file)] == [r.contestant for r in rows]
+        assert [row["contestant"] for row in csv.DictReader(file)] == list(rows["contestant"])
 
 
 def test_the_trade_is_written_and_drawn(tmp_path: Path) -> None:
+    names = "level milliseconds ratio is_translation is_rotation mpiw_translation mpiw_rotation "
+    names += "picp picp_low picp_high mae_translation mae_rotation"
     numbers = (90.0, 12.0, 3.0, 20.0, 0.9, 15.0, 0.7, 90.5, 88.0, 93.0, 4.0, 0.2)
-    rows = [TradeRow(where, *numbers) for where in ("from the first stage on", "head only")]
+    own = dict(zip(names.split(), numbers, strict=True))
+    places = ("from the first stage on", "head only")
+    rows = pd.DataFrame([{"dropout": where, **own} for where in places])
     text = write_trade(tmp_path, rows, "simulated", "best.ckpt", "somewhere")
     assert "simulated" in text
     assert "| head only | 90% |" in text

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from torch import nn
 
 from uncal.callbacks.interval_overlays import IntervalOverlays, bound_extrinsics, chosen_by_width
-from uncal.callbacks.pictures import background
+from uncal.callbacks.overlays import background
 from uncal.data.augmentation import Augmentation
 from uncal.data.datamodule import CalibrationDataModule, LoaderSettings
 from uncal.data.dataset import Sample
@@ -117,7 +117,7 @@ def test_three_pictures_from_widest_to_narrowest(
         asked.append(dict(extrinsics))
         return overlay_panel(image, points, K, extrinsics, scale)
 
-    monkeypatch.setattr("uncal.callbacks.pictures.overlay_panel", spy)
+    monkeypatch.setattr("uncal.callbacks.overlays.overlay_panel", spy)
     callback = IntervalOverlays(str(tmp_path / "overlays"), 3, "Pitch", 0.9, "simulated")
     callback.on_test_end(_trainer(data), module)
     names = [
@@ -162,7 +162,7 @@ def test_a_frame_that_fails_is_named_and_the_others_are_drawn(
             raise OSError("the disk is gone")
         return background(*arguments)  # type: ignore[arg-type]
 
-    monkeypatch.setattr("uncal.callbacks.pictures.background", fails_once)
+    monkeypatch.setattr("uncal.callbacks.overlays.background", fails_once)
     IntervalOverlays(str(tmp_path / "o"), 3, "X", 0.9, "simulated").on_test_end(
         _trainer(data), _module(data)
     )

@@ -14,6 +14,7 @@ from torch import Tensor
 from uncal.geometry import DOF_NAMES
 from uncal.inference.control import ControlPrediction
 from uncal.recordings.frame import FrameId
+from uncal.reporting.evaluation import Evaluation
 from uncal.reporting.measure import measure
 from uncal.reporting.report import write_report
 from uncal.uncertainty import ConformalCalibrator, GaussianIntervals
@@ -48,10 +49,7 @@ def make_run(
     calibrator = kind(DOF_NAMES).fit(*predictions(120, seed=seed + 100))
     mean, std, target = predictions(40, seed=seed)
     results = measure(
-        mean,
-        std,
-        target,
-        calibrator,
+        Evaluation(mean, std, target, calibrator),
         LEVELS,
         control=None if bare else control(mean, target),
         frames=None if bare else [f"rig_0/drive/{i:010d}" for i in range(len(target))],

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from uncal.comparison.gathering import MOST_JOBS, gather
+from uncal.comparison.gathering import gather, shown
 from uncal.errors import UncalError
 from uncal.reporting.frames import CONTROL, JOINT, RESULTS
-from uncal.reporting.run import Run, calibrator_class, read_run, setting
+from uncal.reporting.run import Run, read_run
 from uncal.uncertainty import ConformalCalibrator
 
 MakeRun = Callable[..., Path]
@@ -26,7 +26,7 @@ def test_a_run_with_everything(tmp_path: Path, make: MakeRun) -> None:
     run = read_run(make(tmp_path / "a"), "Run 1")
     assert run.missing == []
     assert [len(run.tables[schema]) for schema in (RESULTS, JOINT, CONTROL)] == [18, 3, 6]
-    assert calibrator_class(run.settings) is ConformalCalibrator
+    assert run.calibrator_class is ConformalCalibrator
     assert (run.setting("split.by"), run.setting("mcd.passes")) == ("rig", "25")
     assert (run.guarantee, run.weights["reused"]) == ("exact", False)
     assert run.source == "Run 1: simulated street-scene; MC dropout + conformal"
@@ -62,8 +62,8 @@ def test_a_bare_run_works_and_says_what_is_missing(tmp_path: Path, make: MakeRun
 
 def test_a_setting_that_points_to_something_gone_is_not_known(tmp_path: Path) -> None:
     settings = {"seed": 3, "mcd": {"passes": 10, "seed": "${hydra:job.num}"}}
-    assert setting(settings, "mcd.passes") == "10"
-    assert setting(settings, "mcd.seed") is None
+    run = Run(tmp_path, {"settings": settings})
+    assert (run.setting("mcd.passes"), run.setting("mcd.seed")) == ("10", None)
 
 
 def test_a_damaged_record_counts_as_missing(tmp_path: Path, make: MakeRun) -> None:
@@ -75,7 +75,12 @@ def test_a_damaged_record_counts_as_missing(tmp_path: Path, make: MakeRun) -> No
     content = {"weights": None, "passes": [1], "settings": "?", "seed": None}
     (folder / "run.json").write_text(json.dumps(content))
     run = read_run(folder, "Run 1")
-    assert (run.weights, run.stored_passes, run.settings, run.entry("seed")) == ({}, {}, {}, None)
+    assert (run.weights, run.mapping("passes"), run.settings, run.entry("seed")) == (
+        {},
+        {},
+        {},
+        None,
+    )
 
 
 def test_a_calibrator_of_ones_own_guarantees_nothing_here(tmp_path: Path, make: MakeRun) -> None:
@@ -94,7 +99,9 @@ def test_a_calibrator_of_ones_own_guarantees_nothing_here(tmp_path: Path, make: 
     assert gaussian.method == "MC dropout alone, normal quantiles"
 
 
-def test_runs_and_multiruns_by_their_folders(tmp_path: Path, make: MakeRun) -> None:
+def test_runs_and_multiruns_by_their_folders(
+    tmp_path: Path, make: MakeRun, monkeypatch: pytest.MonkeyPatch
+) -> None:
     single = make(tmp_path / "single", seed=9)
     for number, passes in enumerate((5, 10)):
         job = make(tmp_path / "many" / str(number), seed=number)
@@ -108,12 +115,13 @@ def test_runs_and_multiruns_by_their_folders(tmp_path: Path, make: MakeRun) -> N
         "Run 1, job 0 (mcd.passes=5)",
         "Run 1, job 1 (mcd.passes=10)",
     ]
-    assert len(multirun.jobs) == 3
+    assert len(multirun.found) == 3
     assert len(gathered.runs) == len(gathered.all_runs) == 3
-    assert gathered.labels == ("simulated street-scene",)
+    assert {run.label for run in gathered.all_runs} == {"simulated street-scene"}
     # Many jobs are shown by their summary.
-    assert not replace(multirun, runs=multirun.runs * MOST_JOBS).shown
-    assert multirun.shown
+    assert shown(multirun)
+    monkeypatch.setattr("uncal.comparison.gathering.MOST_JOBS", 1)
+    assert not shown(multirun)
 
 
 def test_what_cannot_be_compared_is_refused(tmp_path: Path, make: MakeRun) -> None:

@@ -15,8 +15,8 @@ from matplotlib.figure import Figure
 from uncal.geometry import DOF_NAMES
 from uncal.multirun.summary import write_summary
 from uncal.report import main
-from uncal.reporting.figures.named import NamedFigure, save
-from uncal.reporting.published import published_paper
+from uncal.reporting.figures.style import NamedFigure, save
+from uncal.reporting.published.paper import published_paper
 
 MakeRun = Callable[..., Path]
 HOSTILE = 'KITTI <script>alert("&")</script>'

@@ -10,7 +10,7 @@ import pytest
 from hydra.core.utils import JobReturn, JobStatus
 from hydra.errors import CompactHydraException
 
-from uncal.multirun.job_process import make_portable, restore_start_method
+from uncal.multirun.callback import make_portable, restore_start_method
 
 
 class CannotTravelError(Exception):

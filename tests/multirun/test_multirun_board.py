@@ -6,7 +6,7 @@ from tensorboard.backend.event_processing.event_accumulator import (  # type: ig
     EventAccumulator,
 )
 
-from uncal.multirun.board import show_in_tensorboard
+from uncal.multirun.figures import show_in_tensorboard
 
 
 def test_pictures_are_shown_by_name_and_an_earlier_showing_goes(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import hydra
+import pandas as pd
 import pytest
 from hydra import compose, initialize_config_dir
 from hydra.core.hydra_config import HydraConfig
@@ -17,9 +18,7 @@ from omegaconf import DictConfig
 from uncal.errors import ConfigurationError, UncalError
 from uncal.geometry import DOF_NAMES
 from uncal.multirun.callback import MultirunSummary, failure
-from uncal.multirun.jobs import read_jobs
-from uncal.reporting.frames import RESULTS
-from uncal.reporting.layout import csv_text
+from uncal.reporting.frames import RESULTS, write_csv
 from uncal.settings.configuration import CONFIG_DIR, exits_on_error
 
 
@@ -44,7 +43,7 @@ def task(config: DictConfig) -> float:
         raise UncalError("interrupted; go on with ckpt=…") from SystemExit(1)
     rows = [[name, "cm", 90.0, *[float(passes)] * 5, True, *[1.0] * 3, 1, 1] for name in DOF_NAMES]
     folder = Path(HydraConfig.get().runtime.output_dir)
-    (folder / "results.csv").write_text(csv_text(list(RESULTS.columns), rows), encoding="utf-8")
+    write_csv(folder / "results.csv", pd.DataFrame(rows, columns=list(RESULTS.columns)))
     (folder / "run.json").write_text('{"label": "made-up"}', encoding="utf-8")
     return float(passes)
 
@@ -159,8 +158,8 @@ def test_figures_are_drawn_after_the_last_job_even_if_one_failed(
 ) -> None:
     drawn: list[str] = []
 
-    def draw(folder: Path) -> list[Path]:
-        drawn.append(",".join(job.folder for job in read_jobs(folder) if job.table is not None))
+    def draw(folder: Path, frame: pd.DataFrame) -> list[Path]:
+        drawn.append(",".join(frame["folder"].unique()))
         return captioned(folder)
 
     monkeypatch.setattr("uncal.multirun.figures.draw_figures", draw)
@@ -186,7 +185,7 @@ def test_a_figure_that_cannot_be_drawn_breaks_nothing(
 ) -> None:
     said: list[str] = []
 
-    def draw(folder: Path) -> list[Path]:
+    def draw(folder: Path, frame: pd.DataFrame) -> list[Path]:
         raise ZeroDivisionError("no such font")
 
     monkeypatch.setattr("uncal.multirun.callback.log.exception", lambda text, *_: said.append(text))

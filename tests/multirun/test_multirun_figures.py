@@ -1,4 +1,4 @@
-"""Figures from summary.csv files made by hand."""
+"""Figures of multiruns made by hand."""
 
 from __future__ import annotations
 
@@ -7,24 +7,23 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from uncal.errors import UncalError
 from uncal.geometry import DOF_NAMES
 from uncal.multirun.figures import draw_figures, sweep_figures
-from uncal.reporting.figures.named import NamedFigure
+from uncal.reporting.figures.style import NamedFigure
 
 Value = str | float
 
 
 def summary(
-    folder: Path,
     keys: Sequence[str],
     jobs: Sequence[tuple[Sequence[str], Mapping[str, Value]]],
     levels: Sequence[float] = (90.0,),
-) -> None:
+) -> pd.DataFrame:
     """X of every job has its numbers, each further DoF one tenth more."""
     rows: list[dict[str, Value]] = []
     for number, (values, own) in enumerate(jobs):
@@ -35,14 +34,12 @@ def summary(
                 row |= {"mae_after": 1.0, "coverage_low": 80.0, "coverage_high": 97.0}
                 row |= {k: v + 0.1 * j if isinstance(v, float) else v for k, v in own.items()}
                 rows.append(row | {"label": "made-up", "folder": str(number)})
-    with (folder / "summary.csv").open("w", encoding="utf-8", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
+    frame: pd.DataFrame = pd.DataFrame(rows)
+    return frame
 
 
-def drawn(folder: Path) -> dict[str, NamedFigure]:
-    return {figure.name: figure for figure in sweep_figures(folder)}
+def drawn(frame: pd.DataFrame) -> dict[str, NamedFigure]:
+    return {figure.name: figure for figure in sweep_figures(frame)}
 
 
 def line(panel: Axes, label: str) -> tuple[list[float], list[float]]:
@@ -55,10 +52,10 @@ def points(found: Line2D) -> tuple[list[float], list[float]]:
     return x, y
 
 
-def test_passes_with_mask_seeds_are_lines_with_a_band(tmp_path: Path) -> None:
+def test_passes_with_mask_seeds_are_lines_with_a_band() -> None:
     jobs = [((p, s), {"is": 10 / int(p) + int(s)}) for p in ("5", "10", "50") for s in ("0", "2")]
-    summary(tmp_path, ("mcd.passes", "mcd.seed"), jobs, levels=(90.0, 99.0))
-    figure = drawn(tmp_path)["interval_score"]
+    frame = summary(("mcd.passes", "mcd.seed"), jobs, levels=(90.0, 99.0))
+    figure = drawn(frame)["interval_score"]
     translation, rotation, *second_level = figure.figure.axes
     assert len(second_level) == 2
     # means over the seeds and over X, Y, Z; seed 2 is 2 above seed 0
@@ -73,36 +70,36 @@ def test_passes_with_mask_seeds_are_lines_with_a_band(tmp_path: Path) -> None:
     assert "made-up" in [text.get_text() for text in figure.figure.texts]
 
 
-def test_one_run_per_value_has_no_band(tmp_path: Path) -> None:
-    summary(tmp_path, ("mcd.passes",), [((p,), {}) for p in ("5", "10")])
-    figure = drawn(tmp_path)["interval_score"]
+def test_one_run_per_value_has_no_band() -> None:
+    frame = summary(("mcd.passes",), [((p,), {}) for p in ("5", "10")])
+    figure = drawn(frame)["interval_score"]
     assert "One run per value." in figure.caption
     assert not figure.figure.axes[0].collections
 
 
-def test_coverage_shows_every_dof_and_the_laws_band(tmp_path: Path) -> None:
-    summary(tmp_path, ("mcd.passes",), [((p,), {"picp": float(p)}) for p in ("80", "90")])
-    (panel,) = drawn(tmp_path)["coverage"].figure.axes
+def test_coverage_shows_every_dof_and_the_laws_band() -> None:
+    frame = summary(("mcd.passes",), [((p,), {"picp": float(p)}) for p in ("80", "90")])
+    (panel,) = drawn(frame)["coverage"].figure.axes
     assert line(panel, "Y") == ([80.0, 90.0], [80.1, 90.1])
     (band,) = panel.collections
     assert band.get_datalim(panel.transData).bounds == (80, 80, 10, 17)
 
 
-def test_a_second_key_gives_a_line_per_value(tmp_path: Path) -> None:
+def test_a_second_key_gives_a_line_per_value() -> None:
     keys = ("model.head_dropout", "model.backbone_dropout")
     jobs = [((h, b), {"mpiw": float(b)}) for h in ("0.05", "0.10") for b in ("0.1", "0.2", "0.4")]
-    summary(tmp_path, keys, jobs)
-    panel, _ = drawn(tmp_path)["interval_width"].figure.axes
+    frame = summary(keys, jobs)
+    panel, _ = drawn(frame)["interval_width"].figure.axes
     assert line(panel, "0.10") == ([0.1, 0.2, 0.4], [0.2, 0.3, 0.5])
     assert line(panel, "0.05") == line(panel, "0.10")
     assert panel.get_xlabel() == "Backbone dropout rate"
-    assert "whole_pose" not in drawn(tmp_path)
+    assert "whole_pose" not in drawn(frame)
 
 
-def test_names_are_rows_of_dots(tmp_path: Path) -> None:
+def test_names_are_rows_of_dots() -> None:
     jobs = [(("conformal",), {"mpiw": 2.0, "is": 4.0}), (("gaussian",), {"mpiw": 1.0, "is": 8.0})]
-    summary(tmp_path, ("interval",), jobs)
-    figures = drawn(tmp_path)
+    frame = summary(("interval",), jobs)
+    figures = drawn(frame)
     assert list(figures) == ["coverage", "interval_width"]  # the errors are the same
     width, score = figures["interval_width"].figure.axes
     assert line(width, "X")[0] == [1.0, 0.5]
@@ -112,21 +109,21 @@ def test_names_are_rows_of_dots(tmp_path: Path) -> None:
     assert "“conformal”" in figures["interval_width"].caption
 
 
-def test_what_is_infinite_is_left_out(tmp_path: Path) -> None:
-    jobs = [((p,), {"is": score}) for p, score in (("5", "inf"), ("10", 3.0), ("20", 2.0))]
-    summary(tmp_path, ("mcd.passes",), jobs)
-    translation = drawn(tmp_path)["interval_score"].figure.axes[0]
+def test_what_is_infinite_is_left_out() -> None:
+    jobs = [((p,), {"is": score}) for p, score in (("5", np.inf), ("10", 3.0), ("20", 2.0))]
+    frame = summary(("mcd.passes",), jobs)
+    translation = drawn(frame)["interval_score"].figure.axes[0]
     assert points(translation.lines[0])[0] == [10.0, 20.0]
-    summary(tmp_path, ("mcd.passes",), [((p,), {"is": "inf"}) for p in ("5", "10")])
-    assert "interval_score" not in drawn(tmp_path)
+    frame = summary(("mcd.passes",), [((p,), {"is": np.inf}) for p in ("5", "10")])
+    assert "interval_score" not in drawn(frame)
 
 
-def test_the_whole_pose_and_the_camera_where_they_are_known(tmp_path: Path) -> None:
+def test_the_whole_pose_and_the_camera_where_they_are_known() -> None:
     own = {"together": 60.0, "joint": 91.0, "contribution": 50.0}
     ends: dict[str, Value] = {"contribution_low": 40.0, "contribution_high": 60.0}
     jobs = [((b,), own | ends | {"contribution": c}) for b, c in (("frame", 50.0), ("rig", 55.0))]
-    summary(tmp_path, ("split.by",), jobs)
-    figures = drawn(tmp_path)
+    frame = summary(("split.by",), jobs)
+    figures = drawn(frame)
     (pose,) = figures["whole_pose"].figure.axes
     assert pose.get_legend_handles_labels()[1] == ["six at once", "joint box"]
     (camera,) = figures["camera"].figure.axes
@@ -135,33 +132,26 @@ def test_the_whole_pose_and_the_camera_where_they_are_known(tmp_path: Path) -> N
     assert "bootstrap" in figures["camera"].caption
 
 
-def test_seeds_alone_show_their_spread(tmp_path: Path) -> None:
-    summary(tmp_path, ("seed",), [((s,), {"picp": 90.0 + int(s)}) for s in ("0", "1", "2")])
-    panel = drawn(tmp_path)["coverage"].figure.axes[0]
+def test_seeds_alone_show_their_spread() -> None:
+    frame = summary(("seed",), [((s,), {"picp": 90.0 + int(s)}) for s in ("0", "1", "2")])
+    panel = drawn(frame)["coverage"].figure.axes[0]
     assert line(panel, "X")[0] == [91.0]
     assert [90.0, 92.0] in [points(each)[0] for each in panel.lines]
 
 
-def test_one_job_or_no_summary_shows_nothing(tmp_path: Path) -> None:
-    assert drawn(tmp_path) == {}
-    summary(tmp_path, ("mcd.passes",), [(("5",), {})])
-    assert drawn(tmp_path) == {}
-
-
-def test_a_damaged_summary_is_named(tmp_path: Path) -> None:
-    (tmp_path / "summary.csv").write_text("mcd.passes,picp\n5,90\n")
-    with pytest.raises(UncalError, match=r"summary\.csv: .*dof.* started again"):
-        sweep_figures(tmp_path)
+def test_one_job_shows_nothing() -> None:
+    frame = summary(("mcd.passes",), [(("5",), {})])
+    assert drawn(frame) == {}
 
 
 def test_figures_are_saved_with_their_captions_and_old_ones_go(tmp_path: Path) -> None:
-    summary(tmp_path, ("interval",), [((i,), {}) for i in ("conformal", "gaussian")])
+    frame = summary(("interval",), [((i,), {}) for i in ("conformal", "gaussian")])
     place = tmp_path / "figures"
     place.mkdir()
     for name in ("interval_score.png", "interval_score.pdf", "of_the_user.png"):
         (place / name).write_bytes(b"")
     (place / "captions.csv").write_text("name,title,caption\ninterval_score,Old,Older.\n")
-    paths = draw_figures(tmp_path)
+    paths = draw_figures(tmp_path, frame)
     assert [path.name for path in paths] == ["coverage.png", "interval_width.png"]
     assert {path.name for path in place.iterdir()} == {
         *("coverage.png", "coverage.pdf", "interval_width.png", "interval_width.pdf"),

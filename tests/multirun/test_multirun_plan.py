@@ -68,9 +68,8 @@ def test_jobs_share_16_cores(
     planned: int | None,
     threads: int | None,
 ) -> None:
-    assert threads == threads_per_job(
-        launcher, n_jobs=n_jobs, cpus_per_task=cpus_per_task, planned=planned, cores=16
-    )
+    config = {"_target_": f"a.{launcher}", "n_jobs": n_jobs, "cpus_per_task": cpus_per_task}
+    assert threads == threads_per_job(config, planned=planned, cores=16)
 
 
 @pytest.mark.parametrize(
@@ -81,7 +80,7 @@ def test_the_processes_inherit_it(
 ) -> None:
     monkeypatch.setenv("OMP_NUM_THREADS", "")  # so that it is put back as it was
     monkeypatch.delenv("OMP_NUM_THREADS")
-    monkeypatch.setattr("uncal.multirun.plan._cores", lambda: 2)
+    monkeypatch.setattr("joblib.cpu_count", lambda: 2)
     config = multirun("mcd.passes=5,10,25", f"hydra/launcher={launcher}")
     share_cores(config, planned_jobs(config))
     assert os.environ.get("OMP_NUM_THREADS") == expected

@@ -7,14 +7,14 @@ import io
 import json
 from pathlib import Path
 
+import pandas as pd
 import pytest
 
 from uncal.geometry import DOF_NAMES, DOF_UNITS
-from uncal.multirun.frame import summary_csv
+from uncal.multirun.folder import Multirun
 from uncal.multirun.jobs import UNFINISHED, Job, read_jobs, swept_keys
-from uncal.multirun.summary import MultirunRecord, summary_markdown, write_summary
-from uncal.reporting.frames import table, write_csv
-from uncal.reporting.layout import csv_text
+from uncal.multirun.summary import summary_markdown, write_summary
+from uncal.reporting.frames import csv_text, write_csv
 
 COMMAND = "python -m uncal.train -m lidar.beams=16,64 seed=0,1"
 BEAMS = "dataset.simulation.lidar.beams"
@@ -40,7 +40,11 @@ def row(dof: int, level: float, picp: float, mpiw: float, ratio: float) -> dict[
 
 
 def markdown(folder: Path) -> str:
-    return summary_markdown(read_jobs(folder), MultirunRecord(COMMAND), folder)
+    return summary_markdown(Multirun(folder, COMMAND))
+
+
+def summary_csv(folder: Path) -> str:
+    return Multirun(folder, COMMAND).csv()
 
 
 def started(folder: Path, *overrides: str, seed: int = 0) -> Path:
@@ -58,7 +62,7 @@ def finished(folder: Path, *overrides: str, seed: int, mpiw: float, ratio: float
     ratios = [ratio] * 5 + [float("nan")]
     rows = [row(j, 90.0, 100.0 - j, mpiw + j, ratios[j]) for j in range(6)]
     rows += [row(j, 99.0, 100.0, float("inf"), ratios[j]) for j in range(6)]
-    write_csv(folder / "results.csv", table(rows))
+    write_csv(folder / "results.csv", pd.DataFrame(rows))
     record = {"label": "simulated street-scene", "seed": seed}
     (folder / "run.json").write_text(json.dumps(record), encoding="utf-8")
 
@@ -80,7 +84,7 @@ def multirun(tmp_path: Path) -> Path:
 
 def test_jobs_are_read_in_the_order_of_their_numbers(multirun: Path) -> None:
     jobs = read_jobs(multirun)
-    assert [job.folder for job in jobs] == ["0", "1", "2", "10", "11", "12"]
+    assert [job.name for job in jobs] == ["0", "1", "2", "10", "11", "12"]
     assert [job.seed for job in jobs] == ["0", "1", "0", "1", "0", "1"]
     assert swept_keys(jobs) == (BEAMS,)
     assert {job.label for job in jobs[:4]} == {"simulated street-scene"}
@@ -90,7 +94,7 @@ def test_jobs_are_read_in_the_order_of_their_numbers(multirun: Path) -> None:
 
 
 def test_the_csv_has_a_row_per_finished_job_level_and_dof(multirun: Path) -> None:
-    text = summary_csv(read_jobs(multirun))
+    text = summary_csv(multirun)
     table = list(csv.DictReader(io.StringIO(text)))
     assert list(table[0]) == [
         *(BEAMS, "seed", "dof", "unit", "level", "picp", "mpiw", "is", "ratio", "mae_after"),
@@ -166,7 +170,7 @@ def test_a_failed_job_does_not_show_the_results_of_an_earlier_attempt(tmp_path: 
     write_summary(tmp_path, COMMAND)
     assert (tmp_path / "summary.csv").is_file()
     (tmp_path / "0" / "failed.txt").write_text("diverged\n")
-    (job,) = write_summary(tmp_path, COMMAND)
+    (job,) = write_summary(tmp_path, COMMAND).jobs
     assert (job.table, job.failure) == (None, "diverged")
     assert not (tmp_path / "summary.csv").exists()
     text = (tmp_path / "summary.md").read_text(encoding="utf-8")
@@ -193,15 +197,17 @@ def test_mask_seeds_repeat_like_seeds(tmp_path: Path) -> None:
     assert "Mean ± standard deviation over the mask seeds 0, 1. Seed 7." in text
     assert "| mcd.passes | mask seeds | X MPIW (cm) |" in text
     assert "| 5 | 2 | 6.00 ± 1.41 |" in text
-    table = list(csv.DictReader(io.StringIO(summary_csv(jobs))))
+    table = list(csv.DictReader(io.StringIO(summary_csv(tmp_path))))
     assert [row["mcd.seed"] for row in table[::12]] == ["0", "1", "0", "1"]
 
 
 def test_the_first_table_is_of_all_dof(tmp_path: Path) -> None:
     finished(tmp_path / "0", "mcd.passes=5", seed=0, mpiw=1.0, ratio=0.5)
     finished(tmp_path / "1", "mcd.passes=10", seed=0, mpiw=2.0, ratio=0.5)
-    columns = ("level", "together", "joint", "bonferroni")
-    (tmp_path / "1" / "joint.csv").write_text(csv_text(columns, [[90.0, 61.5, 92.25, 95.0]]))
+    columns = ["level", "together", "joint", "bonferroni"]
+    (tmp_path / "1" / "joint.csv").write_text(
+        csv_text(pd.DataFrame([[90.0, 61.5, 92.25, 95.0]], columns=columns))
+    )
     lines = markdown(tmp_path).splitlines()
     table = lines[lines.index("## All DoF, 90% intervals") + 2 :]
     assert table[0] == (
@@ -213,7 +219,7 @@ def test_the_first_table_is_of_all_dof(tmp_path: Path) -> None:
     assert table[2] == "| 5 | 4.00 | 10.000 | 2.00 | 5.000 | 97.5 | 95.0 | – | – | – | 0.500 |"
     assert table[3].startswith("| 10 | 6.00 | 12.000 | 3.00 | 6.000 |")
     assert table[3].endswith("| 61.5 | 92.2 | 95.0 | 0.500 |")
-    table_csv = list(csv.DictReader(io.StringIO(summary_csv(read_jobs(tmp_path)))))
+    table_csv = list(csv.DictReader(io.StringIO(summary_csv(tmp_path))))
     assert [row["joint"] for row in table_csv if row["dof"] == "X"] == ["", "", "92.25", ""]
 
 
@@ -226,7 +232,7 @@ def test_the_control_says_point_errors_and_what_the_camera_contributes(tmp_path:
                 finished(tmp_path / f"{number}", *swept, seed=seed, mpiw=1.0)
                 values = [1.0 + seed, 0.5, 4.0, 60.0 + 10 * seed, 50.0, 71.6]
                 rows = [[dof, *values] for dof in DOF_NAMES]
-                text = csv_text(columns.split(), rows)
+                text = csv_text(pd.DataFrame(rows, columns=columns.split()))
                 (tmp_path / f"{number}" / "control.csv").write_text(text)
     lines = markdown(tmp_path).splitlines()
     heading = "## Mean absolute error of one pass without dropout and of the MC mean"
@@ -239,7 +245,7 @@ def test_the_control_says_point_errors_and_what_the_camera_contributes(tmp_path:
     )
     assert camera[2].startswith("| conformal | 2 | 65 ± 7 | 65 ± 7 |")
     assert camera[3].startswith("| gaussian | 1 | 60 [50, 72] |")
-    table = list(csv.DictReader(io.StringIO(summary_csv(read_jobs(tmp_path)))))
+    table = list(csv.DictReader(io.StringIO(summary_csv(tmp_path))))
     assert {row["mae_single"] for row in table} == {"1.0", "2.0"}
     assert {row["contribution"] for row in table} == {"60.0", "70.0"}
 
@@ -253,7 +259,7 @@ def test_what_was_trained_and_what_was_found_again_is_said(tmp_path: Path) -> No
             (folder / "run.json").write_text(json.dumps({"weights": weights, "seed": 0}))
     text = markdown(tmp_path)
     assert "1 of 3 jobs trained, 2 reused weights." in text
-    table = list(csv.DictReader(io.StringIO(summary_csv(read_jobs(tmp_path)))))
+    table = list(csv.DictReader(io.StringIO(summary_csv(tmp_path))))
     assert [row["reused"] for row in table[::12]] == ["False", "True", "True", ""]
     assert {row["weights"] for row in table[:12]} == {"0123456789abcdef"}
 
@@ -284,8 +290,8 @@ def test_an_unfinished_multirun_says_how_it_goes_on(tmp_path: Path) -> None:
 def test_folders_of_an_earlier_multirun_are_counted_and_left_out(tmp_path: Path) -> None:
     for number, passes in enumerate((5, 10, 50)):
         finished(tmp_path / f"{number}", f"mcd.passes={passes}", seed=0, mpiw=1.0)
-    jobs = write_summary(tmp_path, COMMAND, [{"mcd.passes": "5"}])
-    assert [job.folder for job in jobs] == ["0"]
+    jobs = write_summary(tmp_path, COMMAND, [{"mcd.passes": "5"}]).jobs
+    assert [job.name for job in jobs] == ["0"]
     text = (tmp_path / "summary.md").read_text(encoding="utf-8")
     assert "Left out: 2 folders of an earlier multirun (`1`, `2`)." in text
     assert "Jobs: 1, with results: 1." in text
@@ -309,7 +315,7 @@ def test_a_job_that_ends_while_others_write_is_not_lost(
             (tmp_path / "done" / ".hydra" / "overrides.yaml").unlink()
         return jobs
 
-    monkeypatch.setattr("uncal.multirun.summary.read_jobs", reads_before_the_other_ends)
+    monkeypatch.setattr("uncal.multirun.folder.read_jobs", reads_before_the_other_ends)
     write_summary(tmp_path, COMMAND)
     assert "Jobs: 2, with results: 2." in (tmp_path / "summary.md").read_text(encoding="utf-8")
     assert read == 2
@@ -332,7 +338,7 @@ def test_figures_are_shown_with_their_captions(tmp_path: Path) -> None:
     finished(tmp_path / "0", "mcd.passes=5", seed=0, mpiw=1.0)
     (tmp_path / "figures").mkdir()
     rows = [["coverage", "Coverage", "Read it, so."]]
-    text = csv_text(("name", "title", "caption"), rows)
+    text = csv_text(pd.DataFrame(rows, columns=["name", "title", "caption"]))
     (tmp_path / "figures" / "captions.csv").write_text(text)
     write_summary(tmp_path, COMMAND)
     shown = (tmp_path / "summary.md").read_text(encoding="utf-8")

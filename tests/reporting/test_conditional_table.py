@@ -31,7 +31,7 @@ def _tested() -> Evaluation:
     target[:, 5] = 0.1 * torch.tensor([1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
     mean = target.clone()
     mean[:, 0] += std[:, 0] * torch.tensor([3, 7, 7, 12, 12, 12])
-    return Evaluation.of(mean, std, target, _calibrator())
+    return Evaluation(mean, std, target, _calibrator())
 
 
 def _of(rows: pd.DataFrame, by: str, dof: str, level: float) -> pd.DataFrame:

@@ -12,7 +12,7 @@ from uncal.uncertainty import ConformalCalibrator, coverage_band
 def _tested(errors: torch.Tensor) -> Evaluation:
     target = errors.double()[:, None].expand(-1, 6).clone()
     zeros = torch.zeros_like(target)
-    return Evaluation.of(zeros, zeros + 1, target, _calibrator())
+    return Evaluation(zeros, zeros + 1, target, _calibrator())
 
 
 def _calibrator() -> ConformalCalibrator:

@@ -3,11 +3,12 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
+import pandas as pd
 import pytest
 
 from uncal.errors import UncalError
 from uncal.geometry import DOF_NAMES
-from uncal.reporting.frames import CURVE, RESULTS, read_csv
+from uncal.reporting.frames import CURVE, RESULTS, csv_text, read_csv
 
 HEADER = ",".join(RESULTS.columns)
 LINES = [
@@ -55,6 +56,11 @@ def test_damage_is_named(tmp_path: Path, lines: list[str], end: str, reason: str
     assert text.startswith(f"{path} is damaged: ")
     assert reason in text
     assert "uncal.evaluate" in text
+
+
+def test_csv_keeps_every_digit() -> None:
+    frame = pd.DataFrame({"a": [0.1 + 0.2, float("inf"), float("nan")], "b": [True, False, True]})
+    assert csv_text(frame) == "a,b\n0.30000000000000004,True\ninf,False\nnan,True\n"
 
 
 def test_bytes_that_are_no_text(tmp_path: Path) -> None:

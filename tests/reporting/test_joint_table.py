@@ -33,7 +33,7 @@ def _tested(errors: list[float], calibrator: IntervalCalibrator | None = None) -
     target = torch.zeros(len(errors), 6, dtype=torch.float64)
     target[:, 0] = MILLI * torch.tensor(errors, dtype=torch.float64)
     zeros = torch.zeros_like(target)
-    return Evaluation.of(zeros, zeros + MILLI, target, calibrator or _calibrator())
+    return Evaluation(zeros, zeros + MILLI, target, calibrator or _calibrator())
 
 
 def test_by_hand() -> None:

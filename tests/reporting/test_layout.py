@@ -6,7 +6,6 @@ import pytest
 
 from uncal.reporting.layout import (
     aligned_lines,
-    csv_text,
     markdown_lines,
     number,
     replaced_whole,
@@ -24,13 +23,6 @@ def test_columns_line_up_and_gaps_are_where_asked() -> None:
 
 def test_a_bar_in_a_cell_does_not_end_it() -> None:
     assert markdown_lines([["", "X"], ["mean |error|", "1"]])[2] == r"| mean \|error\| | 1 |"
-
-
-def test_csv_drops_columns_that_no_row_has_and_keeps_floats() -> None:
-    rows = [[0.1 + 0.2, None, None, True], [float("inf"), None, 2, False]]
-    assert csv_text(["a", "b", "c", "d"], rows) == (
-        "a,c,d\n0.30000000000000004,,True\ninf,2,False\n"
-    )
 
 
 def test_numbers() -> None:

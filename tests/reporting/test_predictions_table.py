@@ -32,7 +32,7 @@ def _tested(calibrator: IntervalCalibrator | None = None) -> Evaluation:
     def column(*rows: list[float]) -> Tensor:
         return torch.tensor(rows, dtype=torch.float64)
 
-    return Evaluation.of(
+    return Evaluation(
         mean=column(six(0.03, 0.3), six(-0.05, -0.5)),
         std=column(six(0.01, 0.1), six(0.02, 0.2)),
         target=column(six(0.04, 0.4), six(0.05, 0.5)),

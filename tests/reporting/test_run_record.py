@@ -9,12 +9,12 @@ from uncal.reporting.run_record import RunRecord, command_line, read_record
 def record(folder: Path, request: str = "abc") -> RunRecord:
     return RunRecord(
         folder,
-        command_line("uncal.train", ["mcd.passes=5"]),
-        {"seed": 3, "mcd": {"passes": 5}},
+        request,
+        command=command_line("uncal.train", ["mcd.passes=5"]),
+        settings={"seed": 3, "mcd": {"passes": 5}},
         label="simulated street-scene",
         seed=3,
         device="cpu",
-        request=request,
     )
 
 

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from uncal.geometry import DOF_NAMES
+from uncal.reporting.evaluation import Evaluation
 from uncal.reporting.frames import CONDITIONAL, CURVE, JOINT, RESULTS
 from uncal.reporting.measure import Results, measure
 from uncal.reporting.report import TERMINAL_WIDTH, format_report, write_report
@@ -35,7 +36,7 @@ def _predictions(n: int, seed: int) -> tuple[Tensor, Tensor, Tensor]:
 
 def _measured() -> Results:
     calibrator = ConformalCalibrator(DOF_NAMES).fit(*_predictions(400, seed=1))
-    return measure(*_predictions(200, seed=0), calibrator, LEVELS)
+    return measure(Evaluation(*_predictions(200, seed=0), calibrator), LEVELS)
 
 
 def _read(path: Path) -> list[dict[str, str]]:
@@ -102,7 +103,7 @@ def test_terminal_has_the_whole_pose_and_fits() -> None:
 def test_a_method_that_promises_nothing_is_allowed_nothing(tmp_path: Path) -> None:
     calibrator = GaussianIntervals(DOF_NAMES).fit(*_predictions(400, seed=1))
     mean, std, target = _predictions(200, seed=0)
-    results = measure(mean, std / 4, target, calibrator, LEVELS)
+    results = measure(Evaluation(mean, std / 4, target, calibrator), LEVELS)
     assert results.guarantee == "none"
     assert not results.per_dof["in_band"].any()
     paths = write_report(tmp_path, results, label="simulated")
@@ -119,23 +120,23 @@ def test_groups_and_bounds_reach_the_calibrator(tmp_path: Path) -> None:
     fitted, tested = _predictions(400, seed=1), _predictions(200, seed=0)
     groups = ["a", "b"] * 200
     mondrian = MondrianCalibrator(DOF_NAMES).fit(*fitted, groups=groups)
-    results = measure(*tested, mondrian, LEVELS, groups=groups[:200])
+    results = measure(Evaluation(*tested, mondrian, groups=groups[:200]), LEVELS)
     assert results.guarantee == "by group"
     paths = write_report(tmp_path, results, label="simulated")
     assert "guarantees coverage by group" in paths[1].read_text(encoding="utf-8")
     with pytest.raises(UncertaintyError, match="groups"):
-        measure(*tested, mondrian, LEVELS)
+        measure(Evaluation(*tested, mondrian), LEVELS)
     with pytest.raises(ValueError, match="3 groups for 200 samples"):
-        measure(*tested, mondrian, LEVELS, groups=["a"] * 3)
+        measure(Evaluation(*tested, mondrian, groups=["a"] * 3), LEVELS)
 
     def bounds(data: tuple[Tensor, Tensor, Tensor]) -> tuple[Tensor, Tensor]:
         return data[0] - data[1], data[0] + data[1]
 
     quantile = QuantileCalibrator(DOF_NAMES).fit(*fitted, bounds=bounds(fitted))
-    rows = measure(*tested, quantile, LEVELS, bounds=bounds(tested)).per_dof
+    rows = measure(Evaluation(*tested, quantile, bounds=bounds(tested)), LEVELS).per_dof
     assert rows["in_band"].all()
     with pytest.raises(UncertaintyError, match="bounds"):
-        measure(*tested, quantile, LEVELS)
+        measure(Evaluation(*tested, quantile), LEVELS)
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning")
@@ -143,7 +144,7 @@ def test_too_few_groups_are_infinite_and_said_to_be(tmp_path: Path) -> None:
     calibrator = HierarchicalCalibrator(DOF_NAMES).fit(
         *_predictions(40, seed=1), groups=["a", "b", "c", "d"] * 10
     )
-    results = measure(*_predictions(20, seed=0), calibrator, [0.9], groups=["e"] * 20)
+    results = measure(Evaluation(*_predictions(20, seed=0), calibrator, groups=["e"] * 20), [0.9])
     assert results.per_dof["mpiw"].map(math.isinf).all()
     text = write_report(tmp_path, results, label="simulated")[1].read_text(encoding="utf-8")
     assert "∞: too few groups" in text

@@ -19,8 +19,7 @@ import torch
 from uncal.errors import ConfigurationError
 from uncal.recordings.sensor_files import write_image
 from uncal.reporting.layout import write_whole
-from uncal.runs.checkpoint import save_weights
-from uncal.runs.saving import WholeCheckpoints
+from uncal.runs.checkpoint import WholeCheckpoints, save_weights
 from uncal.settings.configuration import exits_on_error
 from uncal.settings.guard import names_the_setting
 from uncal.system.disk import check_writable, disk_trouble

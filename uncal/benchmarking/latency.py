@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import logging
-import statistics
+import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+import pandas as pd
 import torch
 from torch import Tensor, nn
 from torch.utils.flop_counter import FlopCounterMode
 
-from uncal.benchmarking.cuda_graph import graphed
 from uncal.benchmarking.placement import placements
 from uncal.system.progress import progress_bar
 from uncal.uncertainty.dropout.masks import FixedMasks
@@ -21,34 +21,6 @@ from uncal.uncertainty.dropout.mc_dropout import MCDropout
 log = logging.getLogger(__name__)
 
 DETERMINISTIC = "one deterministic pass"
-
-
-@dataclass(frozen=True)
-class LatencyRow:
-    """One contestant.
-
-    Attributes:
-        case: network and size of its input.
-        batch: frames at once.
-        dropout: where dropout is on.
-        contestant: strategy and masks.
-        milliseconds: median over the rounds.
-        ratio: median over the rounds of its time / that of one deterministic pass in the round.
-        ratio_low: smallest of those ratios.
-        ratio_high: largest of those ratios.
-        operations: multiplications and additions in units of one deterministic pass: the ratio
-            on a machine that is never kept waiting.
-    """
-
-    case: str
-    batch: int
-    dropout: str
-    contestant: str
-    milliseconds: float
-    ratio: float
-    ratio_low: float
-    ratio_high: float
-    operations: float
 
 
 @dataclass(frozen=True)
@@ -65,7 +37,7 @@ def measure_latency(
     passes: int,
     rounds: int,
     compiled: bool,
-) -> list[LatencyRow]:
+) -> pd.DataFrame:
     """Time all strategies in turn, round by round, so that a drifting machine drifts for all.
 
     Args:
@@ -77,7 +49,12 @@ def measure_latency(
         compiled: add torch.compile (and, on a GPU, CUDA graphs).
 
     Returns:
-        One row per contestant, the deterministic pass first.
+        A row per contestant, the deterministic pass first: case (network and size of its input),
+        batch (frames at once), dropout (where it is on), contestant (strategy and masks);
+        milliseconds (median over the rounds); ratio, ratio_low and ratio_high (median, smallest
+        and largest, over the rounds, of its time / that of one deterministic pass in the round);
+        operations (multiplications and additions in units of one deterministic pass: the ratio on
+        a machine that is never kept waiting).
     """
     network.eval()
     contestants = _contestants(network, inputs, passes, compiled)
@@ -86,25 +63,24 @@ def measure_latency(
     with progress_bar(case, rounds * len(contestants), leave=False) as bar:
         for _ in range(rounds):
             for each, measured in zip(contestants, times, strict=True):
-                measured.append(1e3 * _time(each.call, inputs[0].device))
+                measured.append(1e3 * seconds(each.call, inputs[0].device))
                 bar.update()
-    rows = []
-    for each, measured, count in zip(contestants, times, counts, strict=True):
-        ratios = [a / b for a, b in zip(measured, times[0], strict=True)]
-        rows.append(
-            LatencyRow(
-                case=case,
-                batch=len(inputs[0]),
-                dropout=each.dropout,
-                contestant=each.name,
-                milliseconds=statistics.median(measured),
-                ratio=statistics.median(ratios),
-                ratio_low=min(ratios),
-                ratio_high=max(ratios),
-                operations=count / counts[0] if counts[0] else float("nan"),
-            )
-        )
-    return rows
+    by_round = pd.DataFrame(times).T
+    ratios = by_round.div(by_round[0], axis=0)
+    frame: pd.DataFrame = pd.DataFrame(
+        {
+            "case": case,
+            "batch": len(inputs[0]),
+            "dropout": [each.dropout for each in contestants],
+            "contestant": [each.name for each in contestants],
+            "milliseconds": by_round.median(),
+            "ratio": ratios.median(),
+            "ratio_low": ratios.min(),
+            "ratio_high": ratios.max(),
+            "operations": [count / counts[0] if counts[0] else math.nan for count in counts],
+        }
+    )
+    return frame
 
 
 def _contestants(
@@ -137,12 +113,12 @@ def _compiled(network: nn.Module, inputs: Sequence[Tensor], passes: int) -> list
         f"{DETERMINISTIC}, torch.compile": lambda: _compile(network, inputs)
     }
     if inputs[0].is_cuda:
-        tries[f"{DETERMINISTIC}, CUDA graph"] = lambda: graphed(lambda: network(*inputs))
+        tries[f"{DETERMINISTIC}, CUDA graph"] = lambda: _graphed(lambda: network(*inputs))
         layers = next(iter(placements(network).values()))
         engine = MCDropout(
             network, passes, None, strategy="shared", select=layers, masks=FixedMasks(0).cuda()
         )
-        tries["shared, fixed masks, CUDA graph"] = lambda: graphed(engine.sampler(*inputs))
+        tries["shared, fixed masks, CUDA graph"] = lambda: _graphed(engine.sampler(*inputs))
     found = []
     for name, make in tries.items():
         try:
@@ -172,7 +148,8 @@ def _operations(call: Callable[[], object]) -> int:
     return int(counter.get_total_flops())
 
 
-def _time(call: Callable[[], object], device: torch.device) -> float:
+def seconds(call: Callable[[], object], device: torch.device) -> float:
+    """How long a call takes, the work that it leaves to a GPU included."""
     if device.type == "cuda":
         torch.cuda.synchronize(device)
     start = time.perf_counter()
@@ -180,3 +157,27 @@ def _time(call: Callable[[], object], device: torch.device) -> float:
     if device.type == "cuda":
         torch.cuda.synchronize(device)
     return time.perf_counter() - start
+
+
+def _graphed(function: Callable[[], object], warm_up: int = 3) -> Callable[[], object]:
+    """Capture what a function does on the GPU; calling the result does it again, launch-free.
+
+    Returns:
+        Replays the graph and returns the captured output, which every replay overwrites.
+    """
+    with torch.inference_mode():
+        stream = torch.cuda.Stream()  # type: ignore[no-untyped-call]
+        stream.wait_stream(torch.cuda.current_stream())
+        with torch.cuda.stream(stream):
+            for _ in range(warm_up):
+                function()
+        torch.cuda.current_stream().wait_stream(stream)
+        graph = torch.cuda.CUDAGraph()
+        with torch.cuda.graph(graph):
+            output = function()
+
+    def replay() -> object:
+        graph.replay()
+        return output
+
+    return replay

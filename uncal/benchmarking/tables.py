@@ -2,27 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import astuple, fields
 from pathlib import Path
 
 import matplotlib as mpl
+import pandas as pd
 from matplotlib.figure import Figure
 
-from uncal.benchmarking.latency import LatencyRow
-from uncal.benchmarking.trade import TradeRow
-from uncal.reporting.layout import csv_text, write_whole
+from uncal.reporting.figures.style import BLUE, VERMILION
+from uncal.reporting.frames import write_csv
+from uncal.reporting.layout import write_whole
 
 MARKERS = "osD^vP"
-BLUE, ORANGE = "#0072B2", "#D55E00"
-"""Of the colour-blind safe palette by Okabe and Ito."""
 
 
-def write_latency(
-    folder: Path, rows: Sequence[LatencyRow], passes: int, rounds: int, where: str
-) -> str:
+def write_latency(folder: Path, rows: pd.DataFrame, passes: int, rounds: int, where: str) -> str:
     """Write ``latency.csv`` and ``latency.md``."""
-    _write_csv(folder / "latency.csv", rows)
+    write_csv(folder / "latency.csv", rows)
     lines = [
         f"# {passes} stochastic passes in units of one deterministic pass",
         "",
@@ -37,16 +32,16 @@ def write_latency(
         f"| {row.case} | {row.batch} | {row.dropout} | {row.contestant} "
         f"| {row.milliseconds:.1f} | {row.ratio:.2f} ({row.ratio_low:.2f}-{row.ratio_high:.2f}) "
         f"| {row.operations:.2f} |"
-        for row in rows
+        for row in rows.itertuples()
     ]
     text = "\n".join(lines) + "\n"
     write_whole(folder / "latency.md", text)
     return text
 
 
-def write_trade(folder: Path, rows: Sequence[TradeRow], label: str, ckpt: str, where: str) -> str:
+def write_trade(folder: Path, rows: pd.DataFrame, label: str, ckpt: str, where: str) -> str:
     """Write ``trade.csv``, ``trade.md`` and ``trade.png``."""
-    _write_csv(folder / "trade.csv", rows)
+    write_csv(folder / "trade.csv", rows)
     lines = [
         f"# Where dropout stands, on {label} data",
         "",
@@ -62,7 +57,7 @@ def write_trade(folder: Path, rows: Sequence[TradeRow], label: str, ckpt: str, w
         f"| {r.is_translation:.2f} | {r.is_rotation:.3f} | {r.mpiw_translation:.2f} "
         f"| {r.mpiw_rotation:.3f} | {r.picp:.1f} ({r.picp_low:.1f}-{r.picp_high:.1f}) "
         f"| {r.mae_translation:.2f} | {r.mae_rotation:.3f} |"
-        for r in rows
+        for r in rows.itertuples()
     ]
     text = "\n".join(lines) + "\n"
     write_whole(folder / "trade.md", text)
@@ -70,28 +65,26 @@ def write_trade(folder: Path, rows: Sequence[TradeRow], label: str, ckpt: str, w
     return text
 
 
-def _draw(path: Path, rows: Sequence[TradeRow], label: str) -> None:
+def _draw(path: Path, rows: pd.DataFrame, label: str) -> None:
     """Interval score against time, one panel for translation and one for rotation."""
-    level = rows[0].level
-    shown = [row for row in rows if row.level == level]
+    level = rows["level"].iloc[0]
+    shown = rows[rows["level"] == level]
     with mpl.rc_context({"font.size": 10, "axes.spines.top": False, "axes.spines.right": False}):
         figure = Figure(figsize=(9.0, 3.6), layout="constrained")
         panels = figure.subplots(1, 2)
-        kinds = (("X, Y, Z", "cm", BLUE), ("roll, pitch, yaw", "°", ORANGE))
-        for panel, (name, unit, colour) in zip(panels, kinds, strict=True):
-            values = [r.is_translation if unit == "cm" else r.is_rotation for r in shown]
-            panel.plot([r.ratio for r in shown], values, "-", color=colour, alpha=0.5)
-            for row, value, marker in zip(shown, values, MARKERS, strict=False):
-                text = f"{row.dropout} (PICP {row.picp:.1f} %)"
-                panel.plot(row.ratio, value, marker, color=colour, markersize=8, label=text)
+        kinds = (
+            ("is_translation", "X, Y, Z (cm)", BLUE),
+            ("is_rotation", "roll, pitch, yaw (°)", VERMILION),
+        )
+        for panel, (column, name, colour) in zip(panels, kinds, strict=True):
+            panel.plot(shown["ratio"], shown[column], "-", color=colour, alpha=0.5)
+            for (_, row), marker in zip(shown.iterrows(), MARKERS, strict=False):
+                looks = {"color": colour, "markersize": 8, "marker": marker}
+                text = f"{row['dropout']} (PICP {row['picp']:.1f} %)"
+                panel.plot(row["ratio"], row[column], **looks, label=text)
             panel.margins(0.1)
             panel.legend(title="dropout", fontsize=8, title_fontsize=8, frameon=False)
             panel.set_xlabel("time of the passes / one deterministic pass")
-            panel.set_ylabel(f"IS at {level:g} %, mean of {name} ({unit})")
+            panel.set_ylabel(f"IS at {level:g} %, mean of {name}")
         figure.suptitle(f"Dropout in fewer layers ({label} data)")
         figure.savefig(path, dpi=150)
-
-
-def _write_csv(path: Path, rows: Sequence[LatencyRow] | Sequence[TradeRow]) -> None:
-    columns = [field.name for field in fields(rows[0])]
-    write_whole(path, csv_text(columns, (astuple(row) for row in rows)))

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import statistics
-import time
-from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
 
 import lightning
+import pandas as pd
 import torch
 
+from uncal.benchmarking.latency import seconds
 from uncal.benchmarking.placement import placements
 from uncal.errors import ConfigurationError, RecordingError
 from uncal.geometry import DOF_SCALE
@@ -23,48 +23,19 @@ from uncal.uncertainty.conformal.quantile import miscoverage
 from uncal.uncertainty.dropout.mc_dropout import MCDropout
 
 
-@dataclass(frozen=True)
-class TradeRow:
-    """One placement of dropout at one level.
-
-    Attributes:
-        dropout: where it is on.
-        level: nominal coverage, percent.
-        milliseconds: median for one frame.
-        ratio: median of that time / one deterministic pass beside it.
-        is_translation: interval score, mean over X, Y, Z, cm.
-        is_rotation: interval score, mean over roll, pitch, yaw, degrees.
-        mpiw_translation: interval width, cm.
-        mpiw_rotation: interval width, degrees.
-        picp: empirical coverage, mean over the DoF, percent.
-        picp_low: lowest of the six.
-        picp_high: highest of the six.
-        mae_translation: mean absolute error of the mean of the passes, cm.
-        mae_rotation: the same, degrees.
-    """
-
-    dropout: str
-    level: float
-    milliseconds: float
-    ratio: float
-    is_translation: float
-    is_rotation: float
-    mpiw_translation: float
-    mpiw_rotation: float
-    picp: float
-    picp_low: float
-    picp_high: float
-    mae_translation: float
-    mae_rotation: float
-
-
 def measure_trade(
     ckpt: Path, data_root: str | None, rounds: int, device: torch.device
-) -> tuple[list[TradeRow], str]:
+) -> tuple[pd.DataFrame, str]:
     """Calibrate and test the same weights with dropout in fewer and fewer layers.
 
     Returns:
-        Rows by placement and level, and what the data are.
+        What the data are, behind a row per placement and level: dropout (where it is on), level
+        (nominal coverage, percent), milliseconds (median for one frame), ratio (median of that
+        time / one deterministic pass beside it), is_translation and is_rotation (interval score,
+        mean over X, Y, Z, cm, and over roll, pitch, yaw, degrees), mpiw_translation and
+        mpiw_rotation (interval width), picp (empirical coverage, mean over the DoF, percent),
+        picp_low and picp_high (of the six), mae_translation and mae_rotation (mean absolute error
+        of the mean of the passes).
 
     Raises:
         UncalError: the checkpoint or its recordings cannot be used.
@@ -116,46 +87,38 @@ def measure_trade(
             score = interval_score(made.lower, made.upper, test.target, alpha) * scale
             width = mpiw(made.lower, made.upper) * scale
             covered = 100.0 * picp(made.lower, made.upper, test.target)
-            rows.append(
-                TradeRow(
-                    dropout=where,
-                    level=100 * level,
-                    milliseconds=milliseconds,
-                    ratio=ratio,
-                    is_translation=score[:3].mean().item(),
-                    is_rotation=score[3:].mean().item(),
-                    mpiw_translation=width[:3].mean().item(),
-                    mpiw_rotation=width[3:].mean().item(),
-                    picp=covered.mean().item(),
-                    picp_low=covered.min().item(),
-                    picp_high=covered.max().item(),
-                    mae_translation=sum(error[:3]) / 3,
-                    mae_rotation=sum(error[3:]) / 3,
-                )
-            )
-    return rows, str(run.dataset.label)
+            row = {
+                "dropout": where,
+                "level": 100 * level,
+                "milliseconds": milliseconds,
+                "ratio": ratio,
+                "is_translation": score[:3].mean().item(),
+                "is_rotation": score[3:].mean().item(),
+                "mpiw_translation": width[:3].mean().item(),
+                "mpiw_rotation": width[3:].mean().item(),
+                "picp": covered.mean().item(),
+                "picp_low": covered.min().item(),
+                "picp_high": covered.max().item(),
+                "mae_translation": sum(error[:3]) / 3,
+                "mae_rotation": sum(error[3:]) / 3,
+            }
+            rows.append(row)
+    return pd.DataFrame(rows), str(run.dataset.label)
 
 
 def _time(
     engine: MCDropout, network: torch.nn.Module, inputs: tuple[object, ...], rounds: int
 ) -> tuple[float, float]:
     """Milliseconds of the passes for one frame, and their ratio to one deterministic pass."""
-    many, ratios = [], []
-    for number in range(3 * rounds + 1):
-        start = time.perf_counter()
-        with torch.inference_mode():
-            network(*inputs)
-        _wait()
-        middle = time.perf_counter()
-        engine(*inputs, seed=0)
-        _wait()
-        end = time.perf_counter()
-        if number > 0:  # the first round warms up
-            many.append(1e3 * (end - middle))
-            ratios.append((end - middle) / (middle - start))
-    return statistics.median(many), statistics.median(ratios)
-
-
-def _wait() -> None:
-    if torch.cuda.is_available():
-        torch.cuda.synchronize()
+    device = next(network.parameters()).device
+    with torch.inference_mode():
+        times = [
+            (
+                seconds(lambda: network(*inputs), device),
+                seconds(lambda: engine(*inputs, seed=0), device),
+            )
+            for _ in range(3 * rounds + 1)
+        ]
+    del times[0]  # it warms up
+    ratios = (passes / one for one, passes in times)
+    return 1e3 * statistics.median(passes for _, passes in times), statistics.median(ratios)

@@ -69,43 +69,29 @@ class ConformalCalibration(lightning.Callback):
     def calibrate(self, module: LightningModule) -> IntervalCalibrator:
         """Fit on the calibration dataloader; to be called again after other weights are loaded.
 
-        Args:
-            module: trained.
-
-        Returns:
-            The calibrator.
-
         Raises:
             UncertaintyError: no batch, or predictions that do not fit the targets.
         """
-        means, stds, targets = [], [], []
+        rows = []
         for number, batch in enumerate(self.dataloader):
             mean, std = self._predict(module, batch, number)
             target = _part(batch, self.target, "target").to(mean)
-            if target.shape != mean.shape:
-                target = target.reshape(mean.shape) if target.numel() == mean.numel() else target
-            means.append(mean.cpu())
-            targets.append(target.cpu())
-            stds.append(torch.ones_like(means[-1]) if std is None else std.cpu())
-        if not means:
+            target = target.reshape(mean.shape) if target.numel() == mean.numel() else target
+            rows.append((mean, torch.ones_like(mean) if std is None else std, target.cpu()))
+        if not rows:
             raise UncertaintyError("ConformalCalibration: the calibration dataloader is empty")
         calibrator = AbsoluteCalibrator() if std is None else ConformalCalibrator()
-        calibrator.fit(
-            torch.cat(means), torch.cat(stds), torch.cat(targets), identity=self._identity(module)
-        )
-        self.calibrator = calibrator
-        return calibrator
+        means, stds, targets = (torch.cat(parts) for parts in zip(*rows, strict=True))
+        self.calibrator = calibrator.fit(means, stds, targets, identity=self._identity(module))
+        return self.calibrator
 
     def predict(self, module: LightningModule, batch: object, level: float | Fraction) -> Intervals:
-        """Intervals of new data.
+        """(B, D) intervals of new data.
 
         Args:
             module: the one that was calibrated.
             batch: of the same form as the calibration's; its target is not read.
             level: coverage level in (0, 1).
-
-        Returns:
-            (B, D) bounds.
 
         Raises:
             UncertaintyError: not calibrated, or the module has other weights since.
@@ -116,9 +102,7 @@ class ConformalCalibration(lightning.Callback):
             )
         self.calibrator.check_matches(self._identity(module))
         mean, std = self._predict(module, batch, 0)
-        mean = mean.cpu()
-        std = torch.ones_like(mean) if std is None else std.cpu()
-        return self.calibrator.predict(mean, std, level)
+        return self.calibrator.predict(mean, torch.ones_like(mean) if std is None else std, level)
 
     def state_dict(self) -> dict[str, object]:
         """What the trainer's checkpoint keeps."""
@@ -130,11 +114,9 @@ class ConformalCalibration(lightning.Callback):
         """Take up the calibration of a checkpoint."""
         if not state_dict:
             return
-        calibrator: IntervalCalibrator = (
-            ConformalCalibrator() if state_dict["kind"] == "conformal" else AbsoluteCalibrator()
-        )
-        calibrator.load_state_dict(cast("dict[str, Tensor]", state_dict["state"]))
-        self.calibrator = calibrator
+        kind = ConformalCalibrator if state_dict["kind"] == "conformal" else AbsoluteCalibrator
+        self.calibrator = kind()
+        self.calibrator.load_state_dict(cast("dict[str, Tensor]", state_dict["state"]))
 
     def _identity(self, module: nn.Module) -> PredictorIdentity:
         return PredictorIdentity.of(module, self.passes or 1)
@@ -142,7 +124,7 @@ class ConformalCalibration(lightning.Callback):
     def _predict(
         self, module: LightningModule, batch: object, number: int
     ) -> tuple[Tensor, Tensor | None]:
-        """(B, D) mean and, where there is one, σ; in evaluation mode."""
+        """(B, D) mean and, where there is one, σ, on the CPU; in evaluation mode."""
         batch = module.transfer_batch_to_device(batch, module.device, 0)
         training = module.training
         module.eval()
@@ -198,4 +180,4 @@ def _mean_and_std(output: object) -> tuple[Tensor, Tensor | None]:
 
 
 def _columns(values: Tensor) -> Tensor:
-    return values[:, None] if values.ndim == 1 else values.flatten(1)
+    return (values[:, None] if values.ndim == 1 else values.flatten(1)).cpu()

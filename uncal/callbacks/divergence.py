@@ -24,8 +24,8 @@ class StopAtDivergence(lightning.Callback):
         trainer: Trainer,
         pl_module: LightningModule,
         outputs: Tensor | Mapping[str, object] | None,
-        batch: object,
-        batch_idx: int,
+        *args: object,
+        **kwargs: object,
     ) -> None:
         """Look at the loss of the step.
 
@@ -39,12 +39,7 @@ class StopAtDivergence(lightning.Callback):
 
 
 def diverged(trainer: Trainer, what: str) -> DivergenceError:
-    """What to say of a training whose numbers have run away.
-
-    Args:
-        trainer: as it was then.
-        what: is no longer a number.
-    """
+    """What to say of a training of which ``what`` is no longer a number."""
     groups = [group for optimizer in trainer.optimizers for group in optimizer.param_groups]
     rate = max((group["lr"] for group in groups), default=float("nan"))
     last = last_checkpoint(trainer)

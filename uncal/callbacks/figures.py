@@ -5,16 +5,15 @@ from __future__ import annotations
 import logging
 from pathlib import Path
 
-import cv2
 import lightning
-import numpy as np
 from lightning import LightningModule, Trainer
 
-from uncal.callbacks.pictures import show_picture
+from uncal.callbacks.overlays import show_picture
 from uncal.models.module import CalibrationModule
-from uncal.reporting.figures.named import save
 from uncal.reporting.figures.run_figures import figure_makers
-from uncal.reporting.run import recorded_caveat
+from uncal.reporting.figures.style import save
+from uncal.reporting.run import Run
+from uncal.reporting.run_record import read_record
 
 log = logging.getLogger(__name__)
 
@@ -35,18 +34,15 @@ class Figures(lightning.Callback):
         """Draw, write, log; a figure that fails is named, and the others and the run go on."""
         if stage != "test" or not trainer.is_global_zero:
             return
-        caveat = None
-        if isinstance(pl_module, CalibrationModule):
-            caveat = recorded_caveat(pl_module.recipe)
-        for name, draw in figure_makers(self.folder, self.label, caveat).items():
+        record = (read_record(self.folder) or {}) | {"label": self.label}
+        if isinstance(pl_module, CalibrationModule):  # its record is still to be written
+            record["settings"] = pl_module.recipe
+        run = Run(self.folder, record)
+        for name, draw in figure_makers(run).items():
             try:
-                figure = draw()
-                png = None if figure is None else save(figure, self.folder / "figures")[0]
+                if (figure := draw()) is not None:
+                    png, _ = save(figure, self.folder / "figures")
+                    show_picture(trainer, png, f"figure/{name}")
             except Exception as error:
                 # Whatever it is: hours of training must not end here.
                 log.error("figure %s was not drawn: %s: %s", name, type(error).__name__, error)
-                continue
-            picture = None if png is None else cv2.imread(str(png))
-            if picture is not None:
-                rgb = np.asarray(picture[:, :, ::-1], dtype=np.uint8)
-                show_picture(trainer, rgb, f"figure/{name}")

@@ -13,10 +13,6 @@ class ImageBlindControl(lightning.Callback):
     """Runs the image-blind control before each test; the report makes a row of it."""
 
     def on_test_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Estimate the test split with and without the frames' own images.
-
-        Raises:
-            ConfigurationError: the module or the data are not ours.
-        """
+        """Estimate the test split with and without the frames' own images."""
         module, data = ours(trainer, pl_module, "control")
         module.run.control = image_blind_control(trainer, module, data)

@@ -11,14 +11,13 @@ from lightning import LightningModule, Trainer
 from numpy.typing import NDArray
 from torch import Tensor
 
-from uncal.callbacks.pictures import keep_picture, sample_panel
+from uncal.callbacks.overlays import keep_overlay
 from uncal.data.datamodule import CalibrationDataModule
 from uncal.data.dataset import Sample
 from uncal.errors import ConfigurationError
 from uncal.geometry import DOF_NAMES, DOF_SCALE
 from uncal.geometry.decalibration import correct, decalibrate
 from uncal.models.module import CalibrationModule
-from uncal.models.split_prediction import SplitPrediction
 from uncal.reporting.evaluation import percent
 
 log = logging.getLogger(__name__)
@@ -63,34 +62,21 @@ class IntervalOverlays(lightning.Callback):
             log.info("no overlays of intervals: at %g %% none is finite", percent(self.level))
         for rank, i in ranks.items():
             what = f"{rank} {percent(self.level):g}% interval of {len(lower)} ({self.label})"
-            bounds = (lower[i].item(), upper[i].item())
+            name = f"{self.dof.lower()}_{rank.replace(' ', '_')}"
             try:
-                picture = self._draw(data, tested, i, bounds, what)
+                frames = data.datasets["test"][int(tested.index[i])]
+                sample = next((each for each in frames if isinstance(each, Sample)), None)
+                if sample is None:
+                    continue
+                estimate, target = tested.mean[i].double(), tested.target[i].double()
+                T_init = decalibrate(sample.T_cam_lidar.double(), target)
+                bounds = (lower[i].item(), upper[i].item())
+                extrinsics = bound_extrinsics(T_init, estimate, target, bounds, self.dof, what)
+                path = self.folder / f"interval_{name}.png"
+                keep_overlay(trainer, data, sample, extrinsics, path, f"interval/{name}")
             except Exception as error:
                 # Whatever it is: hours of training must not end here.
                 log.error("%s was not drawn: %s: %s", what, type(error).__name__, error)
-                continue
-            if picture is not None:
-                name = f"{self.dof.lower()}_{rank.replace(' ', '_')}"
-                path = self.folder / f"interval_{name}.png"
-                keep_picture(trainer, picture, path, f"interval/{name}")
-
-    def _draw(
-        self,
-        data: CalibrationDataModule,
-        tested: SplitPrediction,
-        i: int,
-        bounds: tuple[float, float],
-        what: str,
-    ) -> NDArray[np.uint8] | None:
-        frames = data.datasets["test"][int(tested.index[i])]
-        sample = next((each for each in frames if isinstance(each, Sample)), None)
-        if sample is None:
-            return None
-        estimate, target = tested.mean[i].double(), tested.target[i].double()
-        T_init = decalibrate(sample.T_cam_lidar.double(), target)
-        extrinsics = bound_extrinsics(T_init, estimate, target, bounds, self.dof, what)
-        return sample_panel(data, sample, extrinsics)
 
 
 def chosen_by_width(width: Tensor, frames: int) -> dict[str, int]:
@@ -124,10 +110,9 @@ def bound_extrinsics(
     dof: str,
     what: str,
 ) -> dict[str, NDArray[np.float64]]:
-    """The extrinsic corrected by the estimate, one DoF of which stands at a bound of its interval.
+    """Caption → (4, 4) corrected by the estimate, of which one DoF stands at a bound or not at all.
 
-    Returns:
-        Caption in plain ASCII, which OpenCV can draw → (4, 4): lower bound, estimate, upper bound.
+    Captions are plain ASCII, which OpenCV can draw.
     """
     j = DOF_NAMES.index(dof)
     unit, digits = ("cm", 1) if j < 3 else ("deg", 2)
@@ -143,12 +128,9 @@ def bound_extrinsics(
     lower, upper = bounds
     middle, truth = estimate[j].item(), target[j].item()
     off, width = shown(middle - truth, "+"), shown(upper - lower, "")
+    below, above = shown(lower - middle, "+"), shown(upper - middle, "+")
     return {
-        f"{dof} at its lower bound: {shown(lower - middle, '+')} from the estimate": corrected(
-            lower
-        ),
+        f"{dof} at its lower bound: {below} from the estimate": corrected(lower),
         f"{dof} as estimated: off by {off}; {what}, {width} wide": corrected(middle),
-        f"{dof} at its upper bound: {shown(upper - middle, '+')} from the estimate": corrected(
-            upper
-        ),
+        f"{dof} at its upper bound: {above} from the estimate": corrected(upper),
     }

@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
+import cv2
 import lightning
 import numpy as np
 import torch
 from lightning import LightningModule, Trainer
+from lightning.pytorch.loggers import TensorBoardLogger
 from numpy.typing import NDArray
 
-from uncal.callbacks.pictures import keep_picture, sample_panel
 from uncal.data.datamodule import CalibrationDataModule
 from uncal.data.dataset import Sample, collate
 from uncal.geometry.decalibration import correct
 from uncal.metrics.pose_error import pose_errors
 from uncal.models.module import CalibrationModule
+from uncal.recordings.sensor_files import write_image
+from uncal.reporting.overlay import draw_events, overlay_panel
+
+WIDTH_PX = 1000
+"""Least width of a picture; small images are enlarged to it."""
 
 
 class Overlays(lightning.Callback):
@@ -43,31 +50,69 @@ class Overlays(lightning.Callback):
         for i in np.linspace(0, len(dataset) - 1, count).round().astype(int).tolist():
             sample = dataset[i][0]
             if isinstance(sample, Sample):
-                picture = self._draw(trainer, pl_module, data, sample)
                 name = str(sample.frame)
                 path = self.folder / f"{name.replace('/', '_')}.png"
-                keep_picture(trainer, picture, path, f"overlay/{name}")
+                extrinsics = self._extrinsics(trainer, pl_module, data, sample)
+                keep_overlay(trainer, data, sample, extrinsics, path, f"overlay/{name}")
 
-    def _draw(
+    def _extrinsics(
         self,
         trainer: Trainer,
         module: CalibrationModule,
         data: CalibrationDataModule,
         sample: Sample,
-    ) -> NDArray[np.uint8]:
+    ) -> dict[str, NDArray[np.float64]]:
         inputs = data.on_after_batch_transfer(collate([[sample]]).to(module.device), 0)
         assert inputs is not None
         with torch.inference_mode(), trainer.precision_plugin.forward_context():
-            estimate = module(inputs)
-        T_true = sample.T_cam_lidar.double()
+            estimate = module(inputs).cpu()
         T_init = inputs.T_init[0].cpu().double()
-        T_estimated = correct(T_init, estimate[0].cpu().double())
-        error = pose_errors(estimate.cpu(), inputs.target.cpu(), 0)
+        error = pose_errors(estimate, inputs.target.cpu(), 0)
         before = f"{error.translation_before:.1f} cm, {error.rotation_before:.2f} deg"
         after = f"{error.translation_after:.1f} cm, {error.rotation_after:.2f} deg"
-        extrinsics = {
+        true = f"true extrinsic ({self.label}, rig {sample.frame.rig})"
+        return {
             f"decalibrated: off by {before}": T_init.numpy(),
-            f"estimated: off by {after}": T_estimated.numpy(),
-            f"true extrinsic ({self.label}, rig {sample.frame.rig})": T_true.numpy(),
+            f"estimated: off by {after}": correct(T_init, estimate[0].double()).numpy(),
+            true: sample.T_cam_lidar.double().numpy(),
         }
-        return sample_panel(data, sample, extrinsics)
+
+
+def keep_overlay(
+    trainer: Trainer,
+    data: CalibrationDataModule,
+    sample: Sample,
+    extrinsics: Mapping[str, NDArray[np.float64]],
+    path: Path,
+    tag: str,
+) -> None:
+    """A sample's points on its image or events, as a PNG and in TensorBoard.
+
+    One row of the picture per extrinsic (caption → (4, 4)); the PNG's folder is made if need be.
+    """
+    image = background(data, sample)
+    scale = max(1, round(WIDTH_PX / image.shape[1]))
+    K = sample.K.double().numpy()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_image(path, overlay_panel(image, sample.points.numpy(), K, extrinsics, scale))
+    show_picture(trainer, path, tag)
+
+
+def background(data: CalibrationDataModule, sample: Sample) -> NDArray[np.uint8]:
+    """The (H, W, 3) uint8 RGB picture to draw points on: the image, or the events as a picture."""
+    if sample.camera.dtype == torch.uint8:
+        return np.ascontiguousarray(sample.camera.numpy().transpose(1, 2, 0))
+    frame = data.recording.load(sample.frame)
+    events = frame.events
+    assert events is not None
+    return draw_events(
+        events, data.image_size, data.datasets["test"].fit(events.size, frame.K).pixel_map
+    )
+
+
+def show_picture(trainer: Trainer, path: Path, tag: str) -> None:
+    """Show a PNG in TensorBoard, if there is such a logger."""
+    for logger in trainer.loggers:
+        if isinstance(logger, TensorBoardLogger) and (picture := cv2.imread(str(path))) is not None:
+            rgb, step = picture[:, :, ::-1], trainer.global_step
+            logger.experiment.add_image(tag, rgb, step, dataformats="HWC")

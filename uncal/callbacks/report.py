@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-import csv
-import logging
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import lightning
+import pandas as pd
 from lightning import LightningModule, Trainer
 
 from uncal import __version__
 from uncal.data.datamodule import WINDOWED, CalibrationDataModule
 from uncal.models.module import CalibrationModule
+from uncal.reporting.evaluation import Evaluation
+from uncal.reporting.frames import write_csv
 from uncal.reporting.measure import measure
 from uncal.reporting.report import format_report, write_report
-
-log = logging.getLogger(__name__)
 
 SPREAD_NOTES = {
     "solver": "σ is the covariance of the least-squares solver (mcd.spread=solver).",
@@ -47,14 +46,11 @@ class Report(lightning.Callback):
         run, tested = pl_module.run, pl_module.run.tested
         data = trainer.datamodule  # type: ignore[attr-defined]  # Lightning sets it in test()
         frames = data.named("test")
+        groups = tested.groups(frames, pl_module.groups)
+        predicted = (tested.mean, tested.std, tested.target)
         run.results = measure(
-            tested.mean,
-            tested.std,
-            tested.target,
-            pl_module.calibrator,
+            Evaluation(*predicted, pl_module.calibrator, groups, tested.bounds),
             self.levels,
-            groups=tested.groups(frames, pl_module.groups),
-            bounds=tested.bounds,
             control=None if run.control is None else run.control.among(tested.index),
             frames=[str(frames[i]) for i in tested.index.tolist()],
             ellipsoid=(pl_module.ellipsoid, tested.covariance),
@@ -97,16 +93,16 @@ def run_notes(module: CalibrationModule, data: CalibrationDataModule) -> list[st
         notes.append(data.split_note)
     tested = {frame.rig for frame in data.named("test")}
     others = [ids for name, ids in data.splits.items() if name != "test"]
-    if tested.isdisjoint(frame.rig for ids in others for frame in ids):
+    held_out = tested.isdisjoint(frame.rig for ids in others for frame in ids)
+    came_from = (
+        f"The test frames come from {len(tested)} held-out rig(s), absent from training and "
+        "calibration. "
+    )
+    if held_out or data.split_by != "frame":
         notes.append(
-            f"The test frames come from {len(tested)} held-out rig(s), absent from training and "
-            "calibration. Frames of one rig are dependent, so the reference band, which assumes "
-            "exchangeable frames, is for reference only here."
-        )
-    elif data.split_by != "frame":
-        notes.append(
-            "Frames of one drive are dependent, so the reference band, which assumes exchangeable "
-            "frames, is for reference only here."
+            f"{came_from if held_out else ''}Frames of one {'rig' if held_out else 'drive'} are "
+            "dependent, so the reference band, which assumes exchangeable frames, is for reference "
+            "only here."
         )
     return [*notes, *module.run.notes]
 
@@ -124,16 +120,11 @@ def skip_notes(skipped: Mapping[str, str], shown: int = 10) -> list[str]:
     >>> skip_notes({"rig/drive/0000000003": "truncated"})
     ['1 frame skipped (all in skipped.csv).', 'Skipped rig/drive/0000000003: truncated']
     """
-    if not skipped:
-        return []
     frames = "1 frame" if len(skipped) == 1 else f"{len(skipped)} frames"
     first = [f"Skipped {frame}: {reason}" for frame, reason in list(skipped.items())[:shown]]
-    return [f"{frames} skipped (all in skipped.csv).", *first]
+    return [f"{frames} skipped (all in skipped.csv).", *first] if skipped else []
 
 
 def write_skipped(path: Path, skipped: Mapping[str, str]) -> None:
     """Write frame and reason of every skipped frame."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(["frame", "reason"])
-        writer.writerows(sorted(skipped.items()))
+    write_csv(path, pd.DataFrame(sorted(skipped.items()), columns=["frame", "reason"]))

@@ -10,9 +10,6 @@ from lightning import LightningModule, Trainer
 from uncal.system.progress import progress_bar
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from torch import Tensor
     from tqdm import tqdm
 
 
@@ -24,53 +21,38 @@ class RunProgress(lightning.Callback):
 
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Open the bar; a resumed run starts where it stopped."""
-        self._open("training", int(trainer.estimated_stepping_batches), trainer.global_step)
+        total, done = int(trainer.estimated_stepping_batches), trainer.global_step
+        self._bar = progress_bar("training", total, done=done)
+
+    def on_test_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Open the bar of the test split."""
+        self._bar = progress_bar("MC dropout, test", int(sum(trainer.num_test_batches)), done=0)
 
     def on_train_batch_end(
-        self,
-        trainer: Trainer,
-        pl_module: LightningModule,
-        outputs: Tensor | Mapping[str, object] | None,
-        batch: object,
-        batch_idx: int,
+        self, trainer: Trainer, pl_module: LightningModule, *args: object, **kwargs: object
     ) -> None:
         """Advance by one step and show epoch and loss."""
         metrics = trainer.progress_bar_metrics
         shown = {name: f"{float(value):.3f}" for name, value in metrics.items()}
         self._advance(epoch=f"{trainer.current_epoch + 1}/{trainer.max_epochs}", **shown)
 
-    def on_train_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Close the bar."""
-        self._close()
-
-    def on_test_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Open the bar of the test split."""
-        self._open("MC dropout, test", int(sum(trainer.num_test_batches)), 0)
-
     def on_test_batch_end(
-        self,
-        trainer: Trainer,
-        pl_module: LightningModule,
-        outputs: Tensor | Mapping[str, object] | None,
-        batch: object,
-        batch_idx: int,
-        dataloader_idx: int = 0,
+        self, trainer: Trainer, pl_module: LightningModule, *args: object, **kwargs: object
     ) -> None:
         """Advance by one batch."""
         self._advance()
 
-    def on_test_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+    def on_train_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Close the bar."""
         self._close()
+
+    on_test_end = on_train_end
 
     def on_exception(
         self, trainer: Trainer, pl_module: LightningModule, exception: BaseException
     ) -> None:
         """Leave the terminal in order."""
         self._close()
-
-    def _open(self, what: str, total: int, done: int) -> None:
-        self._bar = progress_bar(what, total, done=done)
 
     def _advance(self, **shown: str) -> None:
         if self._bar is not None:

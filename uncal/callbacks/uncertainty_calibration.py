@@ -85,26 +85,20 @@ def interval_metrics(
     frames: Sequence[FrameId],
     level: float,
 ) -> dict[str, Tensor]:
-    """PICP, MPIW and IS of a split's intervals per DoF: tag → value in percent, cm or degrees.
-
-    Args:
-        module: with a fitted calibrator.
-        predicted: frames of a split.
-        frames: all of that split.
-        level: coverage level in (0, 1).
-    """
+    """PICP, MPIW and IS of a split's intervals per DoF: tag → value in percent, cm or degrees."""
     intervals = module.intervals(predicted, frames, level)
     metrics = MetricCollection(
         {"PICP": PICP(6), "MPIW": MPIW(6), "IS": IntervalScore(6, float(miscoverage(level)))}
     )
     metrics.update(intervals.lower, intervals.upper, predicted.target)
     found = metrics.compute()
-    tags = {}
-    for j, (name, unit) in enumerate(zip(DOF_NAMES, DOF_UNITS, strict=True)):
-        tags[f"PICP {level:.0%} (%)/{name}"] = found["PICP"][j] * 100.0
-        for metric in ("MPIW", "IS"):
-            tags[f"{metric} {level:.0%}/{name} ({unit})"] = found[metric][j] * DOF_SCALE[j]
-    return tags
+    tags = {
+        f"{metric} {level:.0%}/{name} ({unit})": found[metric][j] * scale
+        for metric in ("MPIW", "IS")
+        for j, (name, unit, scale) in enumerate(zip(DOF_NAMES, DOF_UNITS, DOF_SCALE, strict=True))
+    }
+    coverage = zip(DOF_NAMES, found["PICP"] * 100.0, strict=True)
+    return tags | {f"PICP {level:.0%} (%)/{name}": share for name, share in coverage}
 
 
 def ours(

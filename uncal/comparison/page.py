@@ -10,10 +10,9 @@ from datetime import datetime
 from itertools import groupby
 
 from uncal import __version__
-from uncal.comparison.gathering import Gathered
-from uncal.comparison.pictures import Picture, multirun_pictures, run_pictures
+from uncal.comparison.gathering import Gathered, shown
+from uncal.comparison.pictures import Picture, pictures
 from uncal.comparison.tables import (
-    Table,
     compared_table,
     multirun_tables,
     point_errors,
@@ -21,11 +20,10 @@ from uncal.comparison.tables import (
     table_2,
     tables_beyond_the_paper,
 )
-from uncal.geometry import DOF_NAMES
-from uncal.multirun.summary import summary_sections
-from uncal.reporting.layout import aligned_lines, length, markdown_lines
-from uncal.reporting.published import PublishedPaper
+from uncal.reporting.layout import aligned_lines, length
+from uncal.reporting.published.paper import PublishedPaper
 from uncal.reporting.report import TERMINAL_WIDTH
+from uncal.reporting.sections import Section
 
 NOTICE_TITLE = (
     "The paper measured on real KITTI and DSEC, each run on its own data: not comparable as "
@@ -38,7 +36,7 @@ class Part:
     """A chapter: tables first, figures after them."""
 
     title: str
-    tables: Sequence[Table]
+    tables: Sequence[Section]
     pictures: Sequence[Picture] = ()
 
 
@@ -75,18 +73,16 @@ def compare(paper: PublishedPaper, gathered: Gathered, command: str) -> Content:
         Part("What the paper does not report", tables_beyond_the_paper(runs)),
     ]
     parts += [
-        Part(f"Figures of {run.name}: {run.label}; {run.method}", [], run_pictures(run))
+        Part(f"Figures of {run.name}: {run.label}; {run.method}", [], pictures(run))
         for run in gathered.single
     ]
     for multirun in gathered.multiruns:
-        labels = ", ".join(dict.fromkeys(run.label for run in multirun.runs))
-        sections = summary_sections(multirun.jobs, multirun.record, multirun.folder)
-        tables = multirun_tables(multirun, sections)
-        title = f"{multirun.name}, a multirun: {labels}"
-        parts.append(Part(title, tables, multirun_pictures(multirun)))
+        title = f"{multirun.name}, a multirun: {multirun.label}"
+        parts.append(Part(title, multirun_tables(multirun), pictures(multirun)))
+    labels = dict.fromkeys(run.label for run in gathered.all_runs)
     now = datetime.now().astimezone().isoformat(sep=" ", timespec="minutes")
     return Content(
-        title=f"Runs on {', '.join(gathered.labels)} next to the paper",
+        title=f"Runs on {', '.join(labels)} next to the paper",
         origin=f"{command} · uncal {__version__} · {now}",
         notice=_notice(gathered),
         parts=[part for part in parts if part.tables or part.pictures],
@@ -104,49 +100,38 @@ def html_page(content: Content) -> str:
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )
-    environment.filters |= {
-        "spans": _spans,
-        "sources": _sources,
-        "base64": _base64,
-    }
+    environment.filters |= {"spans": _spans, "sources": _sources, "base64": _base64}
     template = environment.get_template("report.html.j2")
     return template.render(content=content, notice_title=NOTICE_TITLE)
 
 
 def markdown_text(content: Content) -> str:
     """The same words and tables as the page; figures are named only."""
-    lines = [f"# {content.title}", "", f"    {content.origin}", "", f"**{NOTICE_TITLE}.**"]
-    for sentence in content.notice:
-        lines += ["", sentence]
+    paragraphs = [f"# {content.title}", f"    {content.origin}", f"**{NOTICE_TITLE}.**"]
+    paragraphs += content.notice
     for part in content.parts:
-        lines += ["", f"## {part.title}"]
+        paragraphs += [f"## {part.title}"]
         for table in part.tables:
-            lines += ["", f"### {table.title}", ""]
-            if table.header:
-                lines += [*markdown_lines([table.flat_header(), *table.rows]), ""]
-            lines += [f"- {note}" for note in table.notes]
-            lines += ["", *(f"    {origin}" for origin in table.origins)]
+            paragraphs += table.markdown("###")
         if part.pictures:
-            lines += ["", "Figures, in report.html:", ""]
-            lines += [f"- {picture.title}. {picture.caption}".rstrip() for picture in part.pictures]
-    return "\n".join(lines) + "\n"
+            named = (f"- {each.title}. {each.caption}".rstrip() for each in part.pictures)
+            paragraphs += ["Figures, in report.html:", "\n".join(named)]
+    return "\n\n".join(paragraphs) + "\n"
 
 
 def terminal_text(paper: PublishedPaper, gathered: Gathered) -> str:
     """One line per source: coverage and mean width at the first of the paper's levels all have."""
-    levels = list(dict.fromkeys(each.level for each in paper.table(1)))
+    levels = paper.table(1)["level"].unique().tolist()
     common = [v for v in levels if all((r.per_dof["level"] == v).any() for r in gathered.all_runs)]
     level = (common or levels)[0]
     rows = []
-    for table in (1, 2):
-        cells = [each for each in paper.table(table) if each.level == level]
-        for data in dict.fromkeys(each.data for each in cells):
-            own = {(each.metric, each.dof): each.value for each in cells if each.data == data}
-            coverage, widths = (
-                [own[(metric, dof)] for dof in DOF_NAMES if (metric, dof) in own]
-                for metric in ("picp", "mpiw")
-            )
-            rows.append(_terminal_row(f"Paper, Table {table}, {data}", coverage, widths))
+    at_level = paper.values[paper.values["level"] == level]
+    for (table, data), own in at_level.groupby(["table", "data"], sort=False):
+        coverage, widths = (
+            own["text"][own["metric"] == metric].astype(float).tolist()
+            for metric in ("picp", "mpiw")
+        )
+        rows.append(_terminal_row(f"Paper, Table {table}, {data}", coverage, widths))
     for run in gathered.runs:
         at = run.per_dof[run.per_dof["level"] == level]
         rows.append(_terminal_row(run.source, at["picp"].tolist(), at["mpiw"].tolist()))
@@ -154,17 +139,15 @@ def terminal_text(paper: PublishedPaper, gathered: Gathered) -> str:
     lines = [textwrap.fill(f"{NOTICE_TITLE}.", TERMINAL_WIDTH), ""]
     lines += aligned_lines([header, *rows])
     for multirun in gathered.multiruns:
-        count = f"{len(multirun.runs)} of {len(multirun.jobs)} jobs have results"
-        lines.append(f"{multirun.name}: {count}{'' if multirun.shown else '; see its summary'}")
+        count = f"{len(multirun.runs)} of {len(multirun.found)} jobs have results"
+        lines.append(f"{multirun.name}: {count}{'' if shown(multirun) else '; see its summary'}")
     return "\n".join(lines)
 
 
 def _notice(gathered: Gathered) -> list[str]:
     """What a reader must know before any number, one paragraph each."""
     runs = [f"{run.name}: {run.label}" for run in gathered.single]
-    for multirun in gathered.multiruns:
-        labels = dict.fromkeys(run.label for run in multirun.runs)
-        runs.append(f"{multirun.name} (a multirun): {', '.join(labels)}")
+    runs += [f"{each.name} (a multirun): {each.label}" for each in gathered.multiruns]
     return [
         "The paper's numbers: real KITTI and real DSEC recordings, its authors' networks, weights "
         "and splits.",
@@ -183,10 +166,10 @@ def _base64(data: bytes) -> str:
     return base64.b64encode(data).decode("ascii")
 
 
-def _sources(table: Table) -> list[tuple[bool, list[Sequence[str]]]]:
+def _sources(table: Section) -> list[tuple[bool, list[Sequence[str]]]]:
     """Rows of one source together, and whether it is the paper; a multirun's rows are alone."""
     parts: list[tuple[bool, list[Sequence[str]]]] = []
-    for number, row in enumerate(table.rows):
+    for number, row in enumerate(table.grid[1:]):
         if parts and table.texts > 1 and parts[-1][1][0][0] == row[0]:
             parts[-1][1].append(row)
         else:

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from PIL import Image, UnidentifiedImageError
 
-from uncal.comparison.gathering import Multirun
 from uncal.errors import UncalError
+from uncal.multirun.folder import Multirun
 from uncal.reporting.run import Run
 
 if TYPE_CHECKING:
-    from uncal.reporting.figures.named import NamedFigure
+    from uncal.reporting.figures.style import NamedFigure
 
 FOLDER = "figures"
 
@@ -39,47 +38,25 @@ class Picture:
     origin: str
 
 
-def run_pictures(run: Run) -> list[Picture]:
-    """The figures that lie in a run's folder, or else those that its tables allow.
+def pictures(source: Run | Multirun) -> list[Picture]:
+    """The figures that lie in a run's or multirun's folder, or else those that its tables allow.
 
     Raises:
         UncalError: a figure's file cannot be read.
     """
-
+    if files := sorted((source.folder / FOLDER).glob("*.png")):
+        return [_stored(path, source.origin) for path in files]
     # Matplotlib and seaborn take seconds to import, and most folders have their figures.
-    def draw() -> list[NamedFigure]:
-        from uncal.reporting.figures.run_figures import run_figures
-
-        return run_figures(run.folder, run.label)
-
-    return _pictures(run.folder, run.origin, draw)
-
-
-def multirun_pictures(multirun: Multirun) -> list[Picture]:
-    """The figures that lie in a multirun's folder, or else those that its summary allows.
-
-    Raises:
-        UncalError: a figure's file cannot be read.
-    """
-
-    def draw() -> list[NamedFigure]:
-        from uncal.multirun.figures import sweep_figures
-
-        return sweep_figures(multirun.folder)
-
-    return _pictures(multirun.folder, multirun.origin, draw)
-
-
-def _pictures(
-    folder: Path, origin: str, draw: Callable[[], Sequence[NamedFigure]]
-) -> list[Picture]:
-    files = sorted((folder / FOLDER).glob("*.png"))
-    if files:
-        return [_stored(path, origin) for path in files]
+    from uncal.multirun.figures import sweep_figures
+    from uncal.reporting.figures.run_figures import run_figures
     from uncal.reporting.figures.style import paper_style
 
     with paper_style():
-        return [_drawn(figure, origin) for figure in draw()]
+        if isinstance(source, Run):
+            figures = run_figures(source)
+        else:
+            figures = [] if source.frame is None else sweep_figures(source.frame)
+        return [_drawn(figure, source.origin) for figure in figures]
 
 
 def _stored(path: Path, origin: str) -> Picture:
@@ -100,7 +77,7 @@ def _stored(path: Path, origin: str) -> Picture:
 
 
 def _drawn(figure: NamedFigure, origin: str) -> Picture:
-    from uncal.reporting.figures.named import PNG_DPI
+    from uncal.reporting.figures.style import PNG_DPI
 
     buffer = io.BytesIO()
     figure.figure.savefig(buffer, format="png", dpi=PNG_DPI)

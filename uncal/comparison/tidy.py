@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+import pandas as pd
+
 from uncal.geometry import DOF_NAMES
-from uncal.reporting.frames import CONTROL, JOINT, RESULTS
-from uncal.reporting.layout import csv_text
-from uncal.reporting.published import PublishedPaper
+from uncal.reporting.frames import CONTROL, JOINT, RESULTS, csv_text
+from uncal.reporting.published.paper import PublishedPaper
 from uncal.reporting.run import Run
 
 COLUMNS = ("source", "data", "method", "dof", "unit", "level", "metric", "value")
@@ -24,21 +25,21 @@ _UNITS = {
 }
 """Column → unit; an empty one is that of the DoF."""
 
+_WHOLE = ("translation_after", "rotation_after")
+
 
 def tidy_csv(paper: PublishedPaper, runs: Sequence[Run]) -> str:
     """The whole comparison as CSV."""
-    lines: list[tuple[object, ...]] = [
-        (f"paper, Table {v.table}", v.data, v.method, v.dof, v.unit, v.level, v.metric, v.text)
-        for v in paper.values
-    ]
-    for each in paper.errors:
-        paper_error = (f"paper, section 4.4: {each.source}", "real KITTI", "", "all")
-        lines.append((*paper_error, "cm", None, "translation_after", each.translation))
-        lines.append((*paper_error, "°", None, "rotation_after", each.rotation))
+    published = paper.values.rename(columns={"text": "value"})
+    source = "paper, Table " + published["table"].astype(str)
+    lines = published.assign(source=source)[list(COLUMNS)].to_numpy().tolist()
+    for name, texts in paper.errors.items():
+        about = (f"paper, section 4.4: {name}", "real KITTI", "", "all")
+        for unit, metric, text in zip(("cm", "°"), _WHOLE, texts, strict=True):
+            lines.append((*about, unit, "", metric, text))
     for run in runs:
-        about = (str(run.folder), run.label, run.method)
-        lines += [(*about, *line) for line in _of_run(run)]
-    return csv_text(COLUMNS, lines)
+        lines += [(str(run.folder), run.label, run.method, *line) for line in _of_run(run)]
+    return csv_text(pd.DataFrame(lines, columns=list(COLUMNS)).astype(object))
 
 
 def _of_run(run: Run) -> Iterator[tuple[object, ...]]:
@@ -49,11 +50,11 @@ def _of_run(run: Run) -> Iterator[tuple[object, ...]]:
         for row in rows:
             for metric, unit in units.items():
                 dof, unit = row.get("dof", "all"), unit or row["unit"]
-                yield dof, unit, row.get("level"), metric, row[metric]
+                yield dof, unit, row.get("level", ""), metric, row[metric]
         if schema is RESULTS:
             for row in rows[: len(DOF_NAMES)]:
                 for metric in ("mae_before", "mae_after"):
-                    yield row["dof"], row["unit"], None, metric, row[metric]
+                    yield row["dof"], row["unit"], "", metric, row[metric]
     if run.summary is not None:
-        yield "all", "cm", None, "translation_after", run.summary.translation_after
-        yield "all", "°", None, "rotation_after", run.summary.rotation_after
+        for unit, metric in zip(("cm", "°"), _WHOLE, strict=True):
+            yield "all", unit, "", metric, getattr(run.summary, metric)

@@ -19,12 +19,17 @@ class BinnedCoverage(NamedTuple):
         edges: (G-1, D) inner edges; bin g holds edges[g-1] ≤ value < edges[g], the first bin all
             below its edge, the last all from its edge on.
         counts: (G, D) int64, samples per bin.
-        coverage: (G, D) covered fraction in 0..1; NaN in an empty bin.
+        hits: (G, D) int64, covered samples per bin.
     """
 
     edges: Tensor
     counts: Tensor
-    coverage: Tensor
+    hits: Tensor
+
+    @property
+    def coverage(self) -> Tensor:
+        """(G, D) covered fraction in 0..1; NaN in an empty bin."""
+        return self.hits / self.counts
 
 
 def quantile_edges(values: Tensor, bins: int) -> Tensor:
@@ -54,64 +59,20 @@ def quantile_edges(values: Tensor, bins: int) -> Tensor:
     return values.sort(dim=0).values[ranks.to(values.device)]
 
 
-def coverage_by_bin(covered: Tensor, values: Tensor, bins: int | Tensor) -> BinnedCoverage:
-    """Coverage of the samples in each bin of a value, per output.
+def coverage_by_bin(covered: Tensor, values: Tensor, bins: int) -> BinnedCoverage:
+    """Coverage of the samples in each quantile bin of a value, per output.
 
     Args:
         covered: (n, D) bool, :func:`uncal.metrics.functional.covered`.
         values: (n, D) what to split by, per output; or (n,), the same for all outputs.
-        bins: the number G of quantile bins (:func:`quantile_edges` of these values), or the inner
-            edges, (G-1,) or (G-1, D), not decreasing.
-
-    Returns:
-        Edges, counts and coverage.
+        bins: the number G of bins, whose edges are :func:`quantile_edges` of the values.
 
     Raises:
-        ValueError: other shapes, no samples, NaN, no bins, or decreasing edges.
+        ValueError: other shapes or types, no samples, NaN, or no bins.
 
     >>> inside = torch.tensor([[True], [True], [True], [False]])
     >>> coverage_by_bin(inside, torch.tensor([1.0, 2.0, 3.0, 4.0]), bins=2).coverage.tolist()
     [[1.0], [0.5]]
-    """
-    values = check_binnable(covered, values)
-    if isinstance(bins, int):
-        edges = quantile_edges(values, bins)
-    else:
-        edges = check_edges(bins, values.shape[1]).to(values.device)
-    counts, hits = count_by_bin(covered, values, edges)
-    return BinnedCoverage(edges, counts, hits / counts)
-
-
-def count_by_bin(covered: Tensor, values: Tensor, edges: Tensor) -> tuple[Tensor, Tensor]:
-    """Samples and covered samples per bin, which sum over batches and processes.
-
-    Args:
-        covered: (n, D) bool.
-        values: (n, D) what to split by.
-        edges: (G-1, D) inner edges of the values' type or wider, so that none is rounded.
-
-    Returns:
-        (G, D) int64 samples, and (G, D) int64 of them covered.
-    """
-    kind = torch.promote_types(values.dtype, edges.dtype)
-    rows = torch.searchsorted(
-        edges.to(kind).T.contiguous(), values.to(kind).T.contiguous(), right=True
-    )
-    index = rows.T
-    zeros = torch.zeros(len(edges) + 1, values.shape[1], dtype=torch.int64, device=values.device)
-    counts = zeros.scatter_add(0, index, torch.ones_like(index))
-    return counts, zeros.scatter_add(0, index, covered.to(torch.int64))
-
-
-def check_binnable(covered: Tensor, values: Tensor) -> Tensor:
-    """The (n, D) values that belong to (n, D) covered samples.
-
-    Args:
-        covered: (n, D) bool.
-        values: (n, D), or (n,) for all outputs alike.
-
-    Raises:
-        ValueError: other shapes or types, no samples, or NaN.
     """
     if covered.ndim != 2 or covered.dtype != torch.bool:
         raise ValueError(
@@ -125,29 +86,12 @@ def check_binnable(covered: Tensor, values: Tensor) -> Tensor:
             f"values {tuple(values.shape)} for covered {tuple(covered.shape)}; expected one per "
             "sample, (n,), or one per sample and output, (n, D)."
         )
-    _check_values(values)
-    return values
-
-
-def check_edges(edges: Tensor, num_outputs: int) -> Tensor:
-    """The inner edges as (G-1, D).
-
-    Args:
-        edges: (G-1,) or (G-1, D).
-        num_outputs: D.
-
-    Raises:
-        ValueError: another shape, NaN, or decreasing edges.
-    """
-    wide = edges[:, None].expand(-1, num_outputs) if edges.ndim == 1 else edges
-    if wide.ndim != 2 or wide.shape[1] != num_outputs:
-        raise ValueError(
-            f"edges of shape {tuple(edges.shape)}; expected (G-1,) or (G-1, {num_outputs}) inner "
-            "edges for G bins."
-        )
-    if wide.isnan().any() or (wide[1:] < wide[:-1]).any():
-        raise ValueError(f"edges {edges.tolist()} must not decrease or be NaN; sort them.")
-    return wide
+    edges = quantile_edges(values, bins)
+    columns = (each.T.contiguous() for each in (edges, values))
+    index = torch.searchsorted(*columns, right=True).T
+    zeros = torch.zeros(len(edges) + 1, values.shape[1], dtype=torch.int64, device=values.device)
+    counts = zeros.scatter_add(0, index, torch.ones_like(index))
+    return BinnedCoverage(edges, counts, zeros.scatter_add(0, index, covered.to(torch.int64)))
 
 
 def _check_values(values: Tensor) -> None:

@@ -82,16 +82,10 @@ def score(lower: Tensor, upper: Tensor, target: Tensor, alpha: float) -> Tensor:
 def picp(lower: Tensor, upper: Tensor, target: Tensor) -> Tensor:
     """Prediction interval coverage probability: 1/m Σ 1(y ∈ [lower, upper])   (paper, eq. 6).
 
-    Args:
-        lower: (n, D) lower bounds, -inf allowed.
-        upper: (n, D) upper bounds, +inf allowed.
-        target: (n, D) finite truth.
+    Arguments and errors are those of :func:`covered`, with (n, D) for (n, ...).
 
     Returns:
         (D,) covered fraction in 0..1.
-
-    Raises:
-        ValueError: other shapes, no samples, NaN, crossed bounds, or an infinite target.
 
     >>> picp(torch.zeros(4), torch.ones(4), torch.tensor([-0.1, 0.0, 0.5, 1.0])).item()
     0.75
@@ -103,15 +97,10 @@ def picp(lower: Tensor, upper: Tensor, target: Tensor) -> Tensor:
 def mpiw(lower: Tensor, upper: Tensor) -> Tensor:
     """Mean prediction interval width: 1/m Σ (upper - lower)   (paper, eq. 7).
 
-    Args:
-        lower: (n, D) lower bounds, -inf allowed.
-        upper: (n, D) upper bounds, +inf allowed.
+    Arguments and errors are those of :func:`width`, with (n, D) for (n, ...).
 
     Returns:
         (D,) mean width in the bounds' units; +inf if any interval is infinite.
-
-    Raises:
-        ValueError: other shapes, no samples, NaN, or crossed bounds.
 
     >>> mpiw(torch.tensor([0.0, -1.0]), torch.tensor([1.0, 2.0])).item()
     2.0
@@ -124,17 +113,10 @@ def interval_score(lower: Tensor, upper: Tensor, target: Tensor, alpha: float) -
 
     IS = 1/m Σ [(upper - lower) + 2/α (lower - y) 1(y < lower) + 2/α (y - upper) 1(y > upper)]
 
-    Args:
-        lower: (n, D) lower bounds, -inf allowed.
-        upper: (n, D) upper bounds, +inf allowed.
-        target: (n, D) finite truth.
-        alpha: miscoverage level of the intervals, in (0, 1).
+    Arguments and errors are those of :func:`score`, with (n, D) for (n, ...).
 
     Returns:
         (D,) mean score in the bounds' units; lower is better, +inf if any interval is infinite.
-
-    Raises:
-        ValueError: as :func:`picp`, or α outside (0, 1).
 
     >>> interval_score(torch.zeros(2), torch.ones(2), torch.tensor([0.5, 1.5]), alpha=0.5).item()
     2.0

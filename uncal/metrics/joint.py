@@ -17,16 +17,10 @@ from uncal.metrics.functional import covered, width
 def jointly_covered(lower: Tensor, upper: Tensor, target: Tensor) -> Tensor:
     """Whether each box holds all outputs of its target at once.
 
-    Args:
-        lower: (n, D) lower bounds, -inf allowed.
-        upper: (n, D) upper bounds, +inf allowed.
-        target: (n, D) finite truth.
+    Arguments and errors are those of :func:`uncal.metrics.functional.covered`, with (n, D).
 
     Returns:
         (n,) bool.
-
-    Raises:
-        ValueError: as :func:`uncal.metrics.functional.covered`, or no dimension D.
 
     >>> jointly_covered(torch.zeros(2, 2), torch.ones(2, 2), torch.tensor([[0, 1.0], [0, 2.0]]))
     tensor([ True, False])
@@ -62,15 +56,10 @@ def log_volume(lower: Tensor, upper: Tensor) -> Tensor:
 def mean_log_volume(lower: Tensor, upper: Tensor) -> Tensor:
     """Mean over the samples of :func:`log_volume`; +inf as soon as one box is infinite.
 
-    Args:
-        lower: (n, D) lower bounds, -inf allowed.
-        upper: (n, D) upper bounds, +inf allowed.
+    Arguments and errors are those of :func:`log_volume`.
 
     Returns:
         () logarithm of the geometric mean volume.
-
-    Raises:
-        ValueError: as :func:`log_volume`.
 
     >>> mean_log_volume(torch.zeros(2, 1), torch.tensor([[2.0], [0.5]])).item()
     0.0

@@ -55,7 +55,7 @@ def pose_errors(mean: Tensor, target: Tensor, n_calibration: int) -> PoseErrors:
     """
     mean, target = in_double(mean, target)
     before, after = target.abs().mean(0).tolist(), (target - mean).abs().mean(0).tolist()
-    ratios = [_ratio(a, b) for a, b in zip(after, before, strict=True) if b > 0]
+    ratios = [a / b for a, b in zip(after, before, strict=True) if b > 0]
     truth = pose_to_matrix(target)
     residual = truth @ invert(pose_to_matrix(mean))
     return PoseErrors(
@@ -106,7 +106,3 @@ def in_double(*tensors: Tensor) -> list[Tensor]:
                 "values that are NaN or infinite; a table needs finite values and one sample."
             )
     return [tensor.detach().double().cpu() for tensor in tensors]
-
-
-def _ratio(after: float, before: float) -> float:
-    return after / before if before > 0 else math.nan

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import logging
+import multiprocessing
+import pickle
 import shlex
 import sys
 import time
@@ -15,10 +17,9 @@ from hydra.experimental.callback import Callback
 from hydra.types import RunMode, TaskFunction
 from omegaconf import DictConfig
 
-from uncal.multirun.job_process import make_portable, restore_start_method
-from uncal.multirun.jobs import Job
+from uncal.multirun.folder import FIGURES, SUMMARY, Multirun
 from uncal.multirun.plan import planned_jobs, share_cores
-from uncal.multirun.summary import CAPTIONS, FIGURES, write_summary
+from uncal.multirun.summary import write_summary
 from uncal.reporting.run import FAILED
 
 log = logging.getLogger(__name__)
@@ -69,38 +70,56 @@ class MultirunSummary(Callback):
             names_it = f"{config.hydra.sweep.dir}/summary.md names it, the other jobs run on"
             log.error("%s\nThis job failed; %s.", reason, names_it)
             make_portable(job_return, reason)
-        jobs = self._write(config)
-        if self._settled(jobs) or time.time() - _modified(captions(config)) > FIGURES_EVERY:
-            self._draw(config)
+        multirun = self._write(config)
+        settled = sum(1 for job in multirun.jobs if job.table is not None or job.failed)
+        last = self.planned is not None and settled >= len(self.planned)
+        if last or time.time() - _modified(multirun.captions) > FIGURES_EVERY:
+            self._draw(multirun)
 
     def on_multirun_end(self, config: DictConfig, **kwargs: object) -> None:
         """Write all once more, when all launchers' jobs are done, and say where it is."""
-        jobs = self._write(config)
-        self._draw(config)
-        log.info("summary of %d jobs: %s/summary.md", len(jobs), config.hydra.sweep.dir)
+        multirun = self._write(config)
+        self._draw(multirun)
+        log.info("summary of %d jobs: %s/summary.md", len(multirun.jobs), multirun.folder)
 
-    def _write(self, config: DictConfig) -> list[Job]:
+    def _write(self, config: DictConfig) -> Multirun:
         return write_summary(Path(config.hydra.sweep.dir), self.command, self.planned)
 
-    def _settled(self, jobs: list[Job]) -> bool:
-        settled = sum(1 for job in jobs if job.table is not None or job.failed)
-        return self.planned is not None and settled >= len(self.planned)
-
-    def _draw(self, config: DictConfig) -> None:
+    def _draw(self, multirun: Multirun) -> None:
         """Figures; whatever goes wrong with them is no reason to lose a job or the summary."""
-        table = Path(config.hydra.sweep.dir) / "summary.csv"
-        if not self.figures or _modified(table) <= _modified(captions(config)):
+        frame, folder = multirun.frame, multirun.folder
+        drawn = _modified(folder / SUMMARY) <= _modified(multirun.captions)
+        if not self.figures or frame is None or drawn:
             return
         # Matplotlib takes a second to import, and most jobs do not draw.
-        from uncal.multirun.board import show_in_tensorboard
-        from uncal.multirun.figures import draw_figures
+        from uncal.multirun.figures import draw_figures, show_in_tensorboard
 
         try:
-            pictures = draw_figures(Path(config.hydra.sweep.dir))
-            show_in_tensorboard(pictures, table.with_name(FIGURES))
+            show_in_tensorboard(draw_figures(folder, frame), folder / FIGURES)
         except Exception:
-            log.exception("the figures of %s were not drawn", config.hydra.sweep.dir)
-        self._write(config)  # shows them
+            log.exception("the figures of %s were not drawn", folder)
+        write_summary(folder, self.command, self.planned)  # shows them
+
+
+def restore_start_method() -> None:
+    """Let a job start processes as anywhere else; does nothing outside joblib's processes.
+
+    Joblib's library loky makes itself the way in which its processes start others. Those that load
+    data or simulate then end at once: ``ValueError: cannot find context for 'loky'``.
+    """
+    if multiprocessing.get_start_method(allow_none=True) == "loky":
+        multiprocessing.set_start_method(None, force=True)  # the default
+
+
+def make_portable(job_return: JobReturn, reason: str) -> None:
+    """Replace an error that cannot travel from the job's process to the launcher's.
+
+    One such error would make the launcher give up on the jobs still to come.
+    """
+    try:
+        pickle.loads(pickle.dumps(job_return._return_value))
+    except Exception:
+        job_return.return_value = CompactHydraException(reason)
 
 
 def is_multirun(config: DictConfig) -> bool:
@@ -109,11 +128,9 @@ def is_multirun(config: DictConfig) -> bool:
 
 
 def failure(job_return: JobReturn) -> str:
-    """Why a job failed; its local variables are let go.
+    """Why a job failed: the message of an error that a user can act on, else the traceback's end.
 
-    Returns:
-        The message of an error that a user can act on, else the traceback's last line; the whole
-        traceback of such an error goes to the log.
+    The whole traceback of the latter goes to the log; the error's local variables are let go.
     """
     try:
         _ = job_return.return_value  # raises what the job raised
@@ -123,14 +140,13 @@ def failure(job_return: JobReturn) -> str:
         else:
             log.exception("unexpected error")
             reason = f"{type(error).__name__}: {error}"
-        _let_go(error)
+        # Hydra keeps the error until the last job ends, and its frames hold data and network.
+        chain: BaseException | None = error
+        while chain is not None:
+            traceback.clear_frames(chain.__traceback__)
+            chain = chain.__cause__ or chain.__context__
         return reason
     return ""
-
-
-def captions(config: DictConfig) -> Path:
-    """The file that is written when all figures of a multirun are drawn."""
-    return Path(config.hydra.sweep.dir) / FIGURES / CAPTIONS
 
 
 def _modified(path: Path) -> float:
@@ -139,11 +155,3 @@ def _modified(path: Path) -> float:
         return path.stat().st_mtime
     except OSError:
         return 0.0
-
-
-def _let_go(error: BaseException) -> None:
-    """Hydra keeps the error until the last job ends, and its frames hold data and network."""
-    chain: BaseException | None = error
-    while chain is not None:
-        traceback.clear_frames(chain.__traceback__)
-        chain = chain.__cause__ or chain.__context__

@@ -1,10 +1,9 @@
-"""A multirun's summary.csv as its figures need it: jobs grouped once, values per job."""
+"""The jobs of a multirun as its tables and figures need them: grouped once, values per job."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
 from functools import cached_property
 from typing import TypeAlias
 
@@ -12,8 +11,7 @@ import numpy as np
 import pandas as pd
 
 from uncal.geometry import DOF_NAMES
-from uncal.multirun.frame import keys_of, replicates
-from uncal.multirun.tables import groups
+from uncal.multirun.jobs import REPLICATES
 
 KEY_NAMES = {
     "mcd.passes": "stochastic passes",
@@ -33,65 +31,49 @@ Quantity: TypeAlias = tuple[str, float, Sequence[str]]
 """Column, nominal coverage in percent, and the DoF over which to average."""
 
 
-@dataclass(frozen=True)
-class Panel:
-    """One panel of a figure.
-
-    Attributes:
-        title: what tells it from its neighbours.
-        axis: what the values are.
-        series: label → what is drawn; a DoF has its own look. One without a label is split by the
-            other swept keys.
-        reference: a dotted line at this value.
-        law: whether to shade the reference band at the nominal coverage ``reference``.
-        relative: whether each series is divided by its value in the first row.
-    """
-
-    title: str
-    axis: str
-    series: Mapping[str, Quantity]
-    reference: float | None = None
-    law: bool = False
-    relative: bool = False
-
-
 class Sweep:
-    """A multirun's summary, its jobs grouped by the values swept."""
+    """The jobs of a multirun, grouped by the values swept.
+
+    Args:
+        frame: of a :class:`uncal.multirun.folder.Multirun`.
+    """
 
     def __init__(self, frame: pd.DataFrame) -> None:
         self.frame = frame
-        self.keys = keys_of(frame)
+        before = list(frame.columns[: list(frame.columns).index("dof")])
+        self.keys = [name for name in before if name not in REPLICATES]
         self.levels = sorted({float(level) for level in frame["level"]})
         self.label = " and ".join(filter(None, frame["label"].unique()))
-        self.groups = groups(frame)
+        found = {REPLICATES[key]: frame[key].unique() for key in before if key in REPLICATES}
+        seeds = {name: [value for value in values if value] for name, values in found.items()}
+        # What repeats the experiment: "seeds", "mask seeds" or both, with the values.
+        self.repeated = {name: values for name, values in seeds.items() if len(values) > 1}
+        # Without a swept key the folder tells jobs apart, unless it is a seed that does.
+        by = self.keys or ([] if self.repeated else ["folder"])
+        self.groups: dict[tuple[str, ...], list[str]] = {}
+        for row in frame.drop_duplicates("folder")[[*by, "folder"]].itertuples(index=False):
+            group = tuple(map(str, row[: len(by)])) or ("all",)
+            self.groups.setdefault(group, []).append(str(row[-1]))
         self.replicates = max(map(len, self.groups.values()))
-        self.repeated = " and ".join(replicates(frame))
         self.names = [", ".join(values) if self.keys else "all" for values in self.groups]
-        self.words = ", ".join(map(key_name, self.keys)) or self.repeated
+        self.words = ", ".join(map(key_name, self.keys)) or " and ".join(self.repeated)
 
     @cached_property
     def over(self) -> str | None:
         """The swept number with the most values; None if there is none with two."""
-        counts = {k: self.frame[k].nunique() for k in self.keys if _numbers(self.frame[k])}
-        most = max(counts, key=lambda key: counts[key], default=None)  # the first of several
-        return most if most is not None and counts[most] > 1 else None
+        numbers = self.frame[self.keys].apply(pd.to_numeric, errors="coerce")
+        counts = numbers.loc[:, numbers.notna().all()].nunique()
+        return str(counts.idxmax()) if counts.max() > 1 else None  # the first of several
 
     @cached_property
     def jobs(self) -> pd.DataFrame:
         """Per job: folder, row (of the group), x (value of the number), others (other keys)."""
-        rest = [i for i, key in enumerate(self.keys) if key != self.over]
-        jobs: pd.DataFrame = pd.DataFrame(
-            [
-                {
-                    "folder": folder,
-                    "row": row,
-                    "x": float(values[self.keys.index(self.over)]) if self.over else math.nan,
-                    "others": ", ".join(values[i] for i in rest) if self.keys else "",
-                }
-                for row, (values, folders) in enumerate(self.groups.items())
-                for folder in folders
-            ]
-        )
+        rows = []
+        for row, (values, folders) in enumerate(self.groups.items()):
+            swept = dict(zip(self.keys, values, strict=False))
+            x = float(swept.pop(self.over)) if self.over else math.nan
+            rows += [(folder, row, x, ", ".join(swept.values())) for folder in folders]
+        jobs: pd.DataFrame = pd.DataFrame(rows, columns=["folder", "row", "x", "others"])
         return jobs
 
     @property
@@ -105,19 +87,23 @@ class Sweep:
         if self.replicates == 1:
             return "One run per value."
         return (
-            f"Marks: means over the {self.repeated} ({self.replicates} runs); bands or bars: from "
-            "the lowest to the highest of them."
+            f"Marks: means over the {' and '.join(self.repeated)} ({self.replicates} runs); bands "
+            "or bars: from the lowest to the highest of them."
         )
+
+    def per_job(self, quantity: Quantity, method: str = "mean") -> pd.Series[float]:
+        """Folder → mean over the DoF that have a value; empty where no job has the column."""
+        column, level, dofs = quantity
+        if column not in self.frame.columns:
+            return pd.Series(dtype=float)
+        own = self.frame[(self.frame["level"] == level) & self.frame["dof"].isin(dofs)]
+        found: pd.Series[float] = own.groupby("folder")[column].agg(method)
+        return found
 
     def values(self, quantity: Quantity) -> pd.DataFrame:
         """The jobs with a value: means over the DoF, of groups in which all jobs have one."""
-        column, level, dofs = quantity
-        if column not in self.frame.columns:
-            none: pd.DataFrame = self.jobs.iloc[:0].assign(value=[])
-            return none
-        own = self.frame[(self.frame["level"] == level) & self.frame["dof"].isin(dofs)]
-        means = own.groupby("folder")[column].mean()
-        jobs: pd.DataFrame = self.jobs.assign(value=self.jobs["folder"].map(means).astype(float))
+        means = self.jobs["folder"].map(self.per_job(quantity)).astype(float)
+        jobs: pd.DataFrame = self.jobs.assign(value=means)
         finite = np.isfinite(jobs["value"]).groupby(jobs["row"]).transform("all")
         kept: pd.DataFrame = jobs.loc[finite]
         return kept
@@ -127,9 +113,9 @@ class Sweep:
         low, high = (self.values((f"coverage_{end}", level, DOF_NAMES)) for end in ("low", "high"))
         return low.groupby(by)["value"].min(), high.groupby(by)["value"].max()
 
-    def differs(self, panel: Panel) -> bool:
+    def differs(self, quantities: Iterable[Quantity]) -> bool:
         """Whether there is anything to see: values, and not the same in every row."""
-        means = [self.values(q).groupby("row")["value"].mean() for q in panel.series.values()]
+        means = [self.values(q).groupby("row")["value"].mean() for q in quantities]
         several = len(self.groups) == 1 or any(each.nunique() > 1 for each in means)
         return several and any(len(each) for each in means)
 
@@ -146,11 +132,3 @@ def sentence(words: str) -> str:
     ('Stochastic passes', 'trainer.max_epochs')
     """
     return words if "." in words else words[:1].upper() + words[1:]
-
-
-def _numbers(values: pd.Series[str]) -> bool:
-    try:
-        values.astype(float)
-    except ValueError:
-        return False
-    return True

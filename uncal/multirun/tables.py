@@ -4,75 +4,65 @@ from __future__ import annotations
 
 import math
 import statistics
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, TypeAlias
+from collections.abc import Iterable, Sequence
+from typing import TypeAlias
 
 from uncal.geometry import DOF_NAMES, DOF_UNITS
-from uncal.multirun.frame import keys_of, replicates
+from uncal.multirun.sweep import Quantity, Sweep
 from uncal.reporting.layout import Grid, number
+from uncal.reporting.sections import Section
 
-if TYPE_CHECKING:
-    import pandas as pd
-
-    Columns: TypeAlias = Mapping[str, tuple[int, pd.Series[float] | None]]
-    """Heading → digits, and the value per job (folder); None where no job has it."""
+Column: TypeAlias = tuple[str, int, Quantity]
+"""Heading, digits, and what is averaged."""
 
 KINDS = (("transl.", "cm", DOF_NAMES[:3]), ("rot.", "°", DOF_NAMES[3:]))
+DIGITS = {"cm": 2, "°": 3}
+
+LOWEST = "PICP, lowest DoF (%)"
 
 _POSE = {"six at once": "together", "joint box": "joint", "Bonferroni": "bonferroni"}
 
+_NOTES = (
+    "MPIW: mean width of the intervals. PICP: empirical coverage. IS: interval score, the lower "
+    "the better. after / before: mean over the DoF of mean absolute error after / before.",
+    "`summary.csv` has the numbers unrounded, one row per job, level and DoF, with IS and MAE; "
+    "the columns are those of `results.csv`, `joint.csv` and `control.csv` in the jobs' folders.",
+)
 
-def level_table(frame: pd.DataFrame, level: float) -> Grid:
-    """MPIW per DoF, PICP per DoF, mean ratio, at one nominal coverage in percent."""
-    at = frame[frame["level"] == level]
-    columns = _per_dof(at, {"MPIW": "mpiw"})
-    columns |= {f"{dof} PICP (%)": (1, _per_job(at, "picp", [dof])) for dof in DOF_NAMES}
-    columns["after / before"] = (3, _per_job(at, "ratio"))
-    return _grid(frame, columns)
+_INFINITE = "∞: the uncertainty calibration set is too small for that level."
 
+_JOINT = (
+    "Six at once: how often all six intervals hold, which is not guaranteed. Joint box and "
+    "Bonferroni: regions that hold all six DoF at the nominal level."
+)
 
-def pose_table(frame: pd.DataFrame, level: float) -> Grid:
-    """All DoF in one line: scores, widths and coverage at one nominal coverage in percent."""
-    at = frame[frame["level"] == level]
-    columns: dict[str, tuple[int, pd.Series[float] | None]] = {}
-    for name, column in (("IS", "is"), ("MPIW", "mpiw")):
-        for kind, unit, dofs in KINDS:
-            columns[f"{name} {kind} ({unit})"] = (_digits(unit), _per_job(at, column, dofs))
-    columns["PICP, mean (%)"] = (1, _per_job(at, "picp"))
-    columns["PICP, lowest DoF (%)"] = (1, at.groupby("folder")["picp"].min())
-    columns |= {f"{name} (%)": (1, _per_job(at, column)) for name, column in _POSE.items()}
-    columns["after / before"] = (3, _per_job(at, "ratio"))
-    return _grid(frame, columns)
+_CAMERA = (
+    "(error with another frame's image - error) / decalibration, all mean absolute: what the "
+    "camera contributes to the estimate. Near 0 the network calibrates blind."
+)
 
 
-def error_table(frame: pd.DataFrame) -> Grid:
-    """Mean absolute error of one pass without dropout and of the MC mean, per DoF."""
-    return _grid(frame, _per_dof(frame, {"one pass": "mae_single", "MC mean": "mae_mean"}))
-
-
-def camera_table(frame: pd.DataFrame) -> Grid:
-    """What the camera contributes per DoF, with its interval where nothing was repeated."""
-    columns = {f"{dof} (%)": (0, _per_job(frame, "contribution", [dof])) for dof in DOF_NAMES}
-    grid = _grid(frame, columns)
-    ends = [frame.pivot_table(index="folder", columns="dof", values=f"contribution_{end}")
-            for end in ("low", "high")]  # fmt: skip
-    for line, folders in zip(grid[1:], groups(frame).values(), strict=True):
-        for index, heading in enumerate(grid[0]):
-            dof = heading.removesuffix(" (%)")
-            if dof in DOF_NAMES and len(folders) == 1 and line[index] != "–":
-                low, high = (end.loc[folders[0], dof] for end in ends)
-                line[index] += f" [{low:.0f}, {high:.0f}]"
-    return grid
-
-
-def groups(frame: pd.DataFrame) -> dict[tuple[str, ...], list[str]]:
-    """Swept values → folders of the jobs that differ only in seeds, in the order of the jobs."""
-    # Without a swept key the folder tells jobs apart, unless it is a seed that does.
-    keys = keys_of(frame) or ([] if replicates(frame) else ["folder"])
-    found: dict[tuple[str, ...], list[str]] = {}
-    for row in frame.drop_duplicates("folder")[[*keys, "folder"]].itertuples(index=False):
-        found.setdefault(tuple(map(str, row[: len(keys)])) or ("all",), []).append(str(row[-1]))
-    return found
+def summary_tables(sweep: Sweep) -> list[Section]:
+    """All DoF in one table, a table per level, errors and what the camera contributes."""
+    first = sweep.levels[0]
+    errors = "Mean absolute error of one pass without dropout and of the MC mean"
+    infinite = sweep.frame["mpiw"].map(math.isinf).any()
+    joint = "together" in sweep.frame.columns
+    notes = [*_NOTES, *([_JOINT] if joint else []), *([_INFINITE] if infinite else [])]
+    levels = [
+        Section(f"{level:g}% intervals", _grid(sweep, _widths_and_coverage(level)))
+        for level in sweep.levels
+    ]
+    levels[-1] = Section(levels[-1].title, levels[-1].grid, notes)
+    sections = [
+        Section(f"All DoF, {first:g}% intervals", _grid(sweep, _whole_pose(first))),
+        *levels,
+    ]
+    if "contribution" in sweep.frame.columns:
+        columns = _per_dof({"one pass": "mae_single", "MC mean": "mae_mean"}, first)
+        camera = Section("What the camera contributes", _camera_grid(sweep), [_CAMERA])
+        sections += [Section(errors, _grid(sweep, columns)), camera]
+    return sections
 
 
 def mean_and_deviation(values: Sequence[float], digits: int) -> str:
@@ -89,47 +79,63 @@ def mean_and_deviation(values: Sequence[float], digits: int) -> str:
     return f"{mean} ± {number(statistics.stdev(values), digits)}"
 
 
-def _per_dof(
-    frame: pd.DataFrame, quantities: Mapping[str, str]
-) -> dict[str, tuple[int, pd.Series[float] | None]]:
-    return {
-        f"{dof} {name} ({unit})": (_digits(unit), _per_job(frame, column, [dof]))
+def _widths_and_coverage(level: float) -> list[Column]:
+    coverage = [(f"{dof} PICP (%)", 1, ("picp", level, [dof])) for dof in DOF_NAMES]
+    ratio = ("after / before", 3, ("ratio", level, DOF_NAMES))
+    return [*_per_dof({"MPIW": "mpiw"}, level), *coverage, ratio]
+
+
+def _whole_pose(level: float) -> list[Column]:
+    lengths = [
+        (f"{name} {kind} ({unit})", DIGITS[unit], (column, level, dofs))
+        for name, column in (("IS", "is"), ("MPIW", "mpiw"))
+        for kind, unit, dofs in KINDS
+    ]
+    shares = {"PICP, mean (%)": "picp", LOWEST: "picp"}
+    shares |= {f"{name} (%)": column for name, column in _POSE.items()}
+    coverage = [(name, 1, (column, level, DOF_NAMES)) for name, column in shares.items()]
+    return [*lengths, *coverage, ("after / before", 3, ("ratio", level, DOF_NAMES))]
+
+
+def _per_dof(quantities: dict[str, str], level: float) -> list[Column]:
+    return [
+        (f"{dof} {name} ({unit})", DIGITS[unit], (column, level, [dof]))
         for dof, unit in zip(DOF_NAMES, DOF_UNITS, strict=True)
         for name, column in quantities.items()
-    }
-
-
-def _per_job(
-    frame: pd.DataFrame, column: str, dofs: Sequence[str] = DOF_NAMES
-) -> pd.Series[float] | None:
-    """Mean over the DoF that have it; a DoF without decalibration has NaN."""
-    if column not in frame.columns:
-        return None
-    means: pd.Series[float] = frame[frame["dof"].isin(dofs)].groupby("folder")[column].mean()
-    return means
-
-
-def _grid(frame: pd.DataFrame, columns: Columns) -> Grid:
-    """A line per group; columns that no job has are left out."""
-    members, repeated = groups(frame), replicates(frame)
-    header = [*(keys_of(frame) or ["job"]), *([" × ".join(repeated)] if repeated else [])]
-    lines = [
-        [*values, *([str(len(folders))] if repeated else [])] for values, folders in members.items()
     ]
-    for heading, (digits, per_job) in columns.items():
-        if per_job is None:
-            continue
+
+
+def _camera_grid(sweep: Sweep) -> Grid:
+    """Per DoF, with its interval where nothing was repeated."""
+    level = sweep.levels[0]
+    headings = {f"{dof} (%)": dof for dof in DOF_NAMES}
+    columns = [(text, 0, ("contribution", level, [dof])) for text, dof in headings.items()]
+    grid = _grid(sweep, columns)
+    for index, heading in enumerate(grid[0]):
+        dofs = [headings[heading]] if heading in headings else []
+        low, high = (sweep.per_job((f"contribution_{end}", level, dofs)) for end in ("low", "high"))
+        for line, (folder, *more) in zip(grid[1:], sweep.groups.values(), strict=True):
+            if dofs and not more and line[index] != "–":
+                line[index] += f" [{low[folder]:.0f}, {high[folder]:.0f}]"
+    return grid
+
+
+def _grid(sweep: Sweep, columns: Iterable[Column]) -> Grid:
+    """A line per group; columns that no job has are left out."""
+    repeated = sweep.repeated
+    header = [*(sweep.keys or ["job"]), *([" × ".join(repeated)] if repeated else [])]
+    lines = [
+        [*values, *([str(len(folders))] if repeated else [])]
+        for values, folders in sweep.groups.items()
+    ]
+    for heading, digits, quantity in columns:
+        per_job = sweep.per_job(quantity, "min" if heading == LOWEST else "mean")
         cells = [
             mean_and_deviation(per_job.reindex(folders).dropna().tolist(), digits)
-            for folders in members.values()
+            for folders in sweep.groups.values()
         ]
         if set(cells) != {"–"}:
             header.append(heading)
             for line, cell in zip(lines, cells, strict=True):
                 line.append(cell)
     return [header, *lines]
-
-
-def _digits(unit: str) -> int:
-    """Tenths of a millimetre, thousandths of a degree."""
-    return 2 if unit == "cm" else 3

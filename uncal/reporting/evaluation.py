@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import lru_cache
 from typing import Literal
@@ -23,73 +22,49 @@ Guarantee = Literal["exact", "by group", "none"]
 """An interval method's guarantee: coverage with the Beta-Binomial law of pooled frames, coverage
 within a group or for a new group (where that law does not apply), or none."""
 
-
 _NO_GUARANTEE = {
     "none": "the interval method guarantees no coverage",
     "by group": "the interval method guarantees coverage by group, not for pooled frames",
 }
 
 
-@dataclass(frozen=True)
 class Evaluation:
-    """A test set on the CPU in double precision, with a fitted calibrator; make it with :meth:`of`.
+    """A test set on the CPU in double precision, with a fitted calibrator.
 
-    Attributes:
+    It has n samples, the uncertainty calibration set had m.
+
+    Args:
         mean: (n, 6) estimated decalibration, metres and radians.
         std: (n, 6) σ of the estimate.
         target: (n, 6) true decalibration.
         calibrator: fitted on the uncertainty calibration set.
         groups: n labels, such as the drive or rig of each frame, or None.
         bounds: (n, 6) lower and upper quantile outputs of the network, or None.
+
+    Raises:
+        ValueError: shapes other than (n, 6), no samples, values that are not finite, or not one
+            label per sample.
     """
 
-    mean: Tensor
-    std: Tensor
-    target: Tensor
-    calibrator: IntervalCalibrator
-    groups: tuple[str, ...] | None = None
-    bounds: tuple[Tensor, Tensor] | None = None
-    _intervals: dict[float | Fraction, Intervals] = field(default_factory=dict, repr=False)
-
-    @classmethod
-    def of(
-        cls,
+    def __init__(
+        self,
         mean: Tensor,
         std: Tensor,
         target: Tensor,
         calibrator: IntervalCalibrator,
         groups: Sequence[str] | None = None,
         bounds: tuple[Tensor, Tensor] | None = None,
-    ) -> Evaluation:
-        """Check, move and cast.
-
-        Raises:
-            ValueError: shapes other than (n, 6), no samples, values that are not finite, or not
-                one label per sample.
-        """
-        mean, std, target, *both = in_double(mean, std, target, *(bounds or ()))
+    ) -> None:
+        self.mean, self.std, self.target, *both = in_double(mean, std, target, *(bounds or ()))
         if groups is not None and (isinstance(groups, str) or len(groups) != len(mean)):
             raise ValueError(
                 f"{len(groups)} groups for {len(mean)} samples; give a list of one label each."
             )
-        labels = None if groups is None else tuple(groups)
-        pair = (both[0], both[1]) if both else None
-        return cls(mean, std, target, calibrator, labels, pair)
-
-    @property
-    def n(self) -> int:
-        """Samples of the test set."""
-        return len(self.target)
-
-    @property
-    def m(self) -> int:
-        """Samples of the uncertainty calibration set."""
-        return int(self.calibrator.count)
-
-    @property
-    def guarantee(self) -> Guarantee:
-        """What the interval method guarantees."""
-        return guarantee_of(type(self.calibrator))
+        self.calibrator, self.groups = calibrator, groups
+        self.bounds = (both[0], both[1]) if both else None
+        self.n, self.m = len(mean), int(calibrator.count)
+        self.guarantee = guarantee_of(type(calibrator))
+        self._intervals: dict[float | Fraction, Intervals] = {}
 
     def intervals(self, level: float | Fraction) -> Intervals:
         """The intervals per DoF at a level in (0, 1), computed once."""
@@ -107,7 +82,7 @@ class Evaluation:
 
     def band(self, level: float | Fraction, n: int | None = None) -> tuple[int, int]:
         """The reference band at a level, as covered samples among n (default: the test set's)."""
-        return band_counts(self.n if n is None else n, self.m, miscoverage(level))
+        return _band(self.n if n is None else n, self.m, miscoverage(level))
 
 
 def guarantee_of(kind: type[IntervalCalibrator]) -> Guarantee:
@@ -138,15 +113,10 @@ def band_caveat(guarantee: Guarantee, split_by: str, test: str = "own") -> str:
 
 
 @lru_cache(maxsize=1024)
-def band_counts(n: int, m: int, alpha: Fraction) -> tuple[int, int]:
+def _band(n: int, m: int, alpha: Fraction) -> tuple[int, int]:
     """:func:`coverage_band` at :data:`BAND_CONFIDENCE` as counts, since only those compare exactly.
 
-    Args:
-        n: test samples.
-        m: samples in the uncertainty calibration set.
-        alpha: miscoverage level α in (0, 1).
-
-    >>> band_counts(1000, 1000, Fraction(1, 10))
+    >>> _band(1000, 1000, Fraction(1, 10))
     (852, 940)
     """
     low, high = (round(n * bound) for bound in coverage_band(n, m, alpha, BAND_CONFIDENCE))

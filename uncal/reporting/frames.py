@@ -7,8 +7,7 @@ it. A column's kind follows from its name, so that the CSV reads back as it was 
 from __future__ import annotations
 
 import io
-import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,10 +19,21 @@ from uncal.reporting.layout import write_whole
 if TYPE_CHECKING:
     import pandas as pd
 
-_TEXT = frozenset(("dof", "unit", "by", "groups", "frame"))
-_INTEGERS = frozenset(("n_test", "n_calibration", "n", "n_groups", "bin"))
-_TRUTHS = frozenset(("in_band", "joint_in_band"))
-"""Kinds of columns by name; all others are floats."""
+_KINDS: dict[str, str] = {
+    **dict.fromkeys(("dof", "unit", "by", "groups", "frame"), "text"),
+    **dict.fromkeys(("n_test", "n_calibration", "n", "n_groups", "bin"), "integer"),
+    **dict.fromkeys(("in_band", "joint_in_band"), "truth"),
+    **dict.fromkeys(("truth", "estimate", "sigma"), "number, not NaN"),
+}
+"""Kinds of columns by name; bounds are like estimates, all others numbers that may be NaN."""
+
+_PARSERS: dict[str, Callable[[str], object]] = {
+    "text": str,
+    "integer": int,
+    "truth": {"True": True, "False": False}.__getitem__,
+    "number": float,
+}
+"""Kind → reader of a cell; Python's own ``float`` reads a decimal back exactly."""
 
 _DOF = {"dof": "X, Y, Z, Roll, Pitch or Yaw", "unit": '"cm" or "°", of all lengths in the row'}
 _SIZES = {
@@ -116,12 +126,8 @@ CONDITIONAL = Schema(
 CURVE = Schema(
     "calibration_curve.csv",
     {
-        "dof": _DOF["dof"],
-        "level": "nominal coverage",
-        "picp": "empirical coverage",
-        "coverage_low": "lower end of the Beta-Binomial law's reference band, as in results.csv",
-        "coverage_high": "its upper end",
-        "in_band": "whether picp lies in that band",
+        name: RESULTS.columns[name]
+        for name in ("dof", "level", "picp", "coverage_low", "coverage_high", "in_band")
     },
     complete=("level",),
     lost="the calibration curve",
@@ -164,14 +170,6 @@ PREDICTIONS = Schema(
 TABLES = (RESULTS, JOINT, CONDITIONAL, CURVE, CONTROL, PREDICTIONS)
 
 
-def table(rows: Sequence[Mapping[str, object]]) -> pd.DataFrame:
-    """Rows as a frame."""
-    import pandas as pd
-
-    frame: pd.DataFrame = pd.DataFrame(list(rows))
-    return frame
-
-
 def bound_columns(level: float) -> tuple[str, str]:
     """The two columns of predictions.csv that have a level's intervals.
 
@@ -186,9 +184,14 @@ def bound_levels(frame: pd.DataFrame) -> list[float]:
     return sorted(float(name[6:]) for name in frame.columns if name.startswith("lower_"))
 
 
+def csv_text(frame: pd.DataFrame) -> str:
+    """A frame as CSV; floats are their shortest text that reads back exactly."""
+    return frame.to_csv(index=False, lineterminator="\n", na_rep="nan")
+
+
 def write_csv(path: Path, frame: pd.DataFrame) -> Path:
-    """Write a frame whole or not at all; floats are their shortest text that reads back exactly."""
-    return write_whole(path, frame.to_csv(index=False, lineterminator="\n", na_rep="nan"))
+    """Write :func:`csv_text` whole or not at all."""
+    return write_whole(path, csv_text(frame))
 
 
 def read_csv(path: Path, schema: Schema) -> pd.DataFrame:
@@ -203,11 +206,16 @@ def read_csv(path: Path, schema: Schema) -> pd.DataFrame:
     try:
         content = path.read_text(encoding="utf-8")
         cells = pd.read_csv(io.StringIO(content), dtype=str, keep_default_na=False)
-        kinds = _kinds(list(cells.columns), schema)
+        wanted = list(schema.columns)
+        if schema is PREDICTIONS:
+            lowers = [name for name in cells.columns if name.startswith("lower_")]
+            wanted += [name for lower in lowers for name in bound_columns(float(lower[6:]))]
+        if missing := [name for name in wanted if name not in cells.columns]:
+            raise ValueError(f"no column {', '.join(missing)}")
         if cells.empty:
             raise ValueError("it has no rows")
         frame: pd.DataFrame = pd.DataFrame(
-            {name: _parsed(cells[name], kind) for name, kind in kinds.items()}
+            {name: _parsed(cells[name], name in wanted) for name in cells.columns}
         )
         if not content.endswith("\n"):
             raise ValueError("the last line is cut off")
@@ -221,60 +229,22 @@ def read_csv(path: Path, schema: Schema) -> pd.DataFrame:
     return frame
 
 
-def read_numbers(path: Path, text: Collection[str]) -> pd.DataFrame:
-    """Read a CSV unchecked: some columns as text, all others as floats, read back exactly."""
-    import pandas as pd
-
-    cells = pd.read_csv(path, dtype=str, keep_default_na=False)
-    frame: pd.DataFrame = pd.DataFrame(
-        {
-            name: column if name in text else [float(cell or "nan") for cell in column]
-            for name, column in cells.items()
-        }
-    )
-    return frame
-
-
-def _kinds(header: Sequence[str], schema: Schema) -> dict[str, str]:
-    """Column → kind, in the order of the file."""
-    wanted = list(schema.columns)
-    if schema is PREDICTIONS:
-        lowers = [name for name in header if name.startswith("lower_")]
-        wanted += [name for lower in lowers for name in bound_columns(float(lower[6:]))]
-    missing = [name for name in wanted if name not in header]
-    if missing:
-        raise ValueError(f"no column {', '.join(missing)}")
-    kinds = {}
-    for name in header:
-        known = "integer" if name in _INTEGERS else "truth" if name in _TRUTHS else "number"
-        kinds[name] = "text" if name in _TEXT or name not in wanted else known
-        if schema is PREDICTIONS and kinds[name] == "number":
-            kinds[name] = "number, not NaN"
-    return kinds
-
-
-def _parsed(cells: pd.Series[str], kind: str) -> list[object]:
-    """A column's cells as values: Python's own ``float`` reads a decimal back exactly."""
-    values: list[object] = []
+def _parsed(cells: pd.Series[str], known: bool) -> list[object]:
+    """A column's cells as values; those of a column that is not ours stay text."""
+    name = str(cells.name)
+    bound = name.startswith(("lower_", "upper_"))
+    kind = _KINDS.get(name, "number, not NaN" if bound else "number") if known else "text"
+    values = []
     for line, cell in enumerate(cells, start=2):
         if not isinstance(cell, str) or not cell:
-            raise ValueError(f"line {line} has no {cells.name}")
+            raise ValueError(f"line {line} has no {name}")
         try:
-            values.append(_value(cell, kind))
+            values.append(_PARSERS[kind.partition(",")[0]](cell))
+            if kind.endswith("not NaN") and values[-1] != values[-1]:
+                raise ValueError
         except (ValueError, KeyError):
-            raise ValueError(f"line {line}: {cells.name} is {cell!r}, expected {kind}") from None
+            raise ValueError(f"line {line}: {name} is {cell!r}, expected {kind}") from None
     return values
-
-
-def _value(cell: str, kind: str) -> object:
-    if kind == "text":
-        return cell
-    if kind == "truth":
-        return {"True": True, "False": False}[cell]
-    value = int(cell) if kind == "integer" else float(cell)
-    if kind == "number, not NaN" and math.isnan(value):
-        raise ValueError
-    return value
 
 
 def _check_complete(frame: pd.DataFrame, schema: Schema) -> None:

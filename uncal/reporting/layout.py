@@ -1,14 +1,12 @@
-"""Lay out small tables as Markdown, as aligned text and as csv, and write files whole."""
+"""Lay out small tables as Markdown and as aligned text, and write files whole."""
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import logging
 import math
 import secrets
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TypeAlias
@@ -41,30 +39,9 @@ def aligned_lines(grid: Sequence[Sequence[str]], gaps: Collection[int] = ()) -> 
     """
     first = max(len(line[0]) for line in grid)
     others = max(len(cell) for line in grid for cell in line[1:])
-    lines = []
-    for index, line in enumerate(grid):
-        if index in gaps:
-            lines.append("")
-        lines.append(f"{line[0]:<{first}}" + "".join(f"  {cell:>{others}}" for cell in line[1:]))
-    return lines
-
-
-def csv_text(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    r"""Rows as csv in which every float reads back exactly; columns that no row has are left out.
-
-    >>> csv_text(["level", "joint"], [[90.0, None], [95.0, None]])
-    'level\n90.0\n95.0\n'
-    """
-    table = [list(row) for row in rows]
-    kept = [j for j in range(len(columns)) if any(row[j] is not None for row in table)]
-    buffer = io.StringIO()
-    writer = csv.writer(buffer, lineterminator="\n")
-    writer.writerow([columns[j] for j in kept])
-    # repr is the shortest text that reads back as the same float.
-    writer.writerows(
-        [repr(row[j]) if isinstance(row[j], float) else row[j] for j in kept] for row in table
-    )
-    return buffer.getvalue()
+    rows = [[f"{line[0]:<{first}}", *(f"{cell:>{others}}" for cell in line[1:])] for line in grid]
+    lines = [[*([""] if index in gaps else []), "  ".join(row)] for index, row in enumerate(rows)]
+    return [line for pair in lines for line in pair]
 
 
 def write_whole(path: Path, text: str) -> Path:

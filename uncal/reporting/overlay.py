@@ -93,17 +93,9 @@ def overlay_panel(
     extrinsics: Mapping[str, NDArray[np.float64]],
     scale: int,
 ) -> NDArray[np.uint8]:
-    """The same sweep under several extrinsics, one above the other, each with its caption.
+    """The same sweep under several extrinsics, one above the other: a uint8 RGB picture.
 
-    Args:
-        image: (H, W, 3) uint8 RGB.
-        points: (N, 3 or more) LiDAR frame, metres.
-        K: (3, 3) camera matrix.
-        extrinsics: caption → (4, 4).
-        scale: enlargement.
-
-    Returns:
-        uint8 RGB picture.
+    The arguments are those of :func:`draw_points`, with caption → (4, 4) for the extrinsics.
     """
     rows = []
     for caption, T_cam_lidar in extrinsics.items():

@@ -4,36 +4,15 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from uncal.reporting import frames, sections
 from uncal.reporting.evaluation import BAND_CONFIDENCE
-from uncal.reporting.frames import (
-    CONDITIONAL,
-    CONTROL,
-    CURVE,
-    JOINT,
-    PREDICTIONS,
-    RESULTS,
-    write_csv,
-)
-from uncal.reporting.layout import Grid, aligned_lines, length, markdown_lines, number, write_whole
+from uncal.reporting.layout import aligned_lines, markdown_lines, number, write_whole
 from uncal.reporting.measure import Results
-from uncal.reporting.sections import (
-    conditional_section,
-    contribution_cells,
-    contribution_line,
-    contribution_note,
-    control_section,
-    curve_section,
-    joint_section,
-)
 from uncal.uncertainty.conformal.quantile import samples_needed
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 TERMINAL_WIDTH = 110
 
@@ -62,12 +41,7 @@ _TOO_FEW_GROUPS = (
 
 
 def write_report(
-    folder: Path,
-    results: Results,
-    *,
-    label: str,
-    notes: Sequence[str] = (),
-    extra: Mapping[str, str] | None = None,
+    folder: Path, results: Results, *, label: str, notes: Sequence[str] = ()
 ) -> tuple[Path, ...]:
     """Write all tables, each whole or not at all; floats in a CSV read back exactly.
 
@@ -79,92 +53,60 @@ def write_report(
     """
     folder.mkdir(parents=True, exist_ok=True)
     tables = {
-        RESULTS: results.per_dof,
-        JOINT: results.joint,
-        CONDITIONAL: results.conditional,
-        CURVE: results.curve,
-        CONTROL: results.control,
-        PREDICTIONS: results.predictions,
+        frames.RESULTS: results.per_dof,
+        frames.JOINT: results.joint,
+        frames.CONDITIONAL: results.conditional,
+        frames.CURVE: results.curve,
+        frames.CONTROL: results.control,
+        frames.PREDICTIONS: results.predictions,
     }
     written = []
     for schema, frame in tables.items():
         if frame is None:
             (folder / schema.file).unlink(missing_ok=True)
         else:
-            written.append(write_csv(folder / schema.file, frame))
-    text = _markdown(results, label, notes, extra or {})
-    written.insert(1, write_whole(folder / "results.md", text))
+            written.append(frames.write_csv(folder / schema.file, frame))
+    written.insert(1, write_whole(folder / "results.md", _markdown(results, label, notes)))
     return tuple(written)
 
 
-def format_report(
-    results: Results,
-    *,
-    label: str,
-    notes: Sequence[str] = (),
-    extra: Mapping[str, str] | None = None,
-) -> str:
+def format_report(results: Results, *, label: str, notes: Sequence[str] = ()) -> str:
     """The main table and that of the whole pose as plain text, :data:`TERMINAL_WIDTH` wide."""
     control = results.control
-    summary = {**({} if control is None else contribution_line(control)), **(extra or {})}
-    explained = [*([] if control is None else [contribution_note(control)]), *notes]
-    grid = main_grid(results)
+    grid = sections.main_grid(results.per_dof, control, results.guarantee == "exact")
     heading = f"Results on {label} data"
     gaps = [index for index, line in enumerate(grid) if " PICP" in line[0]]
     lines = [heading, "=" * len(heading), _sizes(results), "", *aligned_lines(grid, gaps=gaps), ""]
-    lines += _wrapped(_summary_lines(results, summary))
-    lines += _wrapped([*_explanations(results), *explained])
-    pose = joint_section(results.joint, results.guarantee)
+    lines += _wrapped(_summary_lines(results))
+    lines += _wrapped([] if control is None else [sections.contribution_line(control)])
+    lines += _wrapped(_explanations(results))
+    lines += _wrapped([*([] if control is None else [sections.contribution_note(control)]), *notes])
+    pose = sections.joint_section(results.joint, results.guarantee)
     lines += ["", pose.title, "-" * len(pose.title), *aligned_lines(pose.grid), ""]
     return "\n".join([*lines, *_wrapped(pose.notes)])
 
 
-def main_grid(results: Results) -> Grid:
-    """The paper's table, DoF as columns: a heading, the errors, three lines per level."""
-    exact = results.guarantee == "exact"
-    by_level = list(results.per_dof.groupby("level", sort=False))
-    errors = by_level[0][1]
-    units = list(errors["unit"])
-
-    def lengths(frame: pd.DataFrame, column: str) -> list[str]:
-        return [length(v, unit) for v, unit in zip(frame[column], units, strict=True)]
-
-    grid = [
-        ["", *(f"{dof} ({unit})" for dof, unit in zip(errors["dof"], units, strict=True))],
-        ["MAE before", *lengths(errors, "mae_before")],
-        ["MAE after", *lengths(errors, "mae_after")],
-        ["after / before", *(number(v, 2) for v in errors["ratio"])],
-        *([] if results.control is None else [contribution_cells(results.control)]),
-    ]
-    for level, rows in by_level:
-        low, high = rows["coverage_low"].iloc[0], rows["coverage_high"].iloc[0]
-        band = f", reference band {low:.1f}-{high:.1f}" if exact else ""
-        marks = ["*" if exact and not inside else "" for inside in rows["in_band"]]
-        picp = [f"{v:.1f}{mark}" for v, mark in zip(rows["picp"], marks, strict=True)]
-        grid += [
-            [f"{level:g}% PICP{band} (%)", *picp],
-            [f"{level:g}% MPIW", *lengths(rows, "mpiw")],
-            [f"{level:g}% IS", *lengths(rows, "is")],
-        ]
-    return grid
-
-
-def _markdown(results: Results, label: str, notes: Sequence[str], extra: Mapping[str, str]) -> str:
-    control = results.control
-    lines = [f"# Results on {label} data", "", _sizes(results), ""]
-    lines += [*markdown_lines(main_grid(results)), ""]
-    lines += [f"- {text}" for text in _summary_lines(results, extra)] + [""]
+def _markdown(results: Results, label: str, notes: Sequence[str]) -> str:
+    control, guarantee = results.control, results.guarantee
     about_files = [*_FILES_NOTES, *([] if control is None else [_CONTROL_FILE_NOTE])]
-    lines += [f"- {text}" for text in (*_explanations(results), *notes, *about_files)]
+    explained = [*_explanations(results), *notes, *about_files]
+    paragraphs = [
+        f"# Results on {label} data",
+        _sizes(results),
+        "\n".join(
+            markdown_lines(sections.main_grid(results.per_dof, control, guarantee == "exact"))
+        ),
+        "\n".join(f"- {text}" for text in _summary_lines(results)),
+        "\n".join(f"- {text}" for text in explained),
+    ]
     for section in (
-        *([] if control is None else [control_section(control)]),
-        joint_section(results.joint, results.guarantee),
-        conditional_section(results.conditional),
-        curve_section(results.curve, results.guarantee),
+        *([] if control is None else [sections.control_section(control)]),
+        sections.joint_section(results.joint, guarantee),
+        sections.conditional_section(results.conditional),
+        sections.curve_section(results.curve, guarantee),
     ):
-        lines += ["", f"## {section.title}", "", *markdown_lines(section.grid), ""]
-        lines += [f"- {note}" for note in section.notes]
-    return "\n".join(lines) + "\n"
+        paragraphs += section.markdown()
+    return "\n\n".join(paragraphs) + "\n"
 
 
 def _wrapped(texts: Sequence[str]) -> list[str]:
@@ -178,7 +120,7 @@ def _sizes(results: Results) -> str:
     )
 
 
-def _summary_lines(results: Results, extra: Mapping[str, str]) -> list[str]:
+def _summary_lines(results: Results) -> list[str]:
     summary = results.summary
     return [
         f"Mean over the DoF of MAE after / before: {number(summary.mean_ratio, 3)}",
@@ -186,7 +128,6 @@ def _summary_lines(results: Results, extra: Mapping[str, str]) -> list[str]:
         f"(decalibration: {summary.translation_before:.2f} cm)",
         f"Mean rotation error: {summary.rotation_after:.3f}° "
         f"(decalibration: {summary.rotation_before:.3f}°)",
-        *(f"{name}: {value}" for name, value in extra.items()),
     ]
 
 
@@ -204,7 +145,7 @@ def _explanations(results: Results) -> list[str]:
         "exchangeable."
     ]
     if not all(rows["in_band"]):
-        lines.append("*: outside the reference band.")
+        lines.append(sections.OUTSIDE)
     m = results.summary.n_calibration
     for level in infinite:
         needed = samples_needed(1 - Fraction(str(level)) / 100)

@@ -48,16 +48,20 @@ class Run:
     Attributes:
         folder: where it is.
         record: content of run.json; empty without one that can be read.
-        tables: of the files that are there; results.csv always is.
         name: such as "Run 2" or "Run 3, job 0", by which a comparison refers to it.
         distinction: what sets it apart from other jobs of its multirun, such as "mcd.passes=5".
     """
 
     folder: Path
     record: Mapping[str, object]
-    tables: Mapping[Schema, pd.DataFrame]
     name: str = ""
     distinction: str = ""
+
+    @cached_property
+    def tables(self) -> Mapping[Schema, pd.DataFrame]:
+        """Those whose files are there, read when first asked for; a damaged one raises."""
+        present = [schema for schema in TABLES if (self.folder / schema.file).is_file()]
+        return {schema: read_csv(self.folder / schema.file, schema) for schema in present}
 
     @property
     def per_dof(self) -> pd.DataFrame:
@@ -67,18 +71,12 @@ class Run:
     @property
     def settings(self) -> Mapping[str, object]:
         """All that another process needs to repeat the run."""
-        return _mapping(self.record.get("settings"))
+        return self.mapping("settings")
 
     @property
     def weights(self) -> Mapping[str, object]:
         """Fingerprint, path, whether they were reused, how long their training took."""
-        return _mapping(self.record.get("weights"))
-
-    @property
-    def stored_passes(self) -> dict[str, str]:
-        """Split → whether its stochastic passes were computed or reused."""
-        passes = _mapping(self.record.get("passes"))
-        return {split.replace("_", " "): str(origin) for split, origin in passes.items()}
+        return self.mapping("weights")
 
     @property
     def label(self) -> str:
@@ -86,16 +84,36 @@ class Run:
         return self.entry("label") or f"data {UNKNOWN}"
 
     @property
+    def calibrator(self) -> str | None:
+        """Class of the interval method."""
+        target = self.setting("interval.calibrator._target_")
+        return target.rpartition(".")[2] if target else None
+
+    @property
+    def calibrator_class(self) -> type[IntervalCalibrator] | None:
+        """The interval method; None if it is none of ours."""
+        kind = getattr(uncal.uncertainty, self.calibrator or "", None)
+        return kind if isinstance(kind, type) and issubclass(kind, IntervalCalibrator) else None
+
+    @property
     def method(self) -> str:
         """The interval method in words."""
-        name = calibrator_name(self.settings)
+        name = self.calibrator
         return METHODS.get(name, name) if name else f"interval method {UNKNOWN}"
 
     @property
     def guarantee(self) -> Guarantee:
         """What the interval method guarantees; of one that is not known, nothing."""
-        kind = calibrator_class(self.settings)
+        kind = self.calibrator_class
         return "none" if kind is None else guarantee_of(kind)
+
+    @property
+    def caveat(self) -> str | None:
+        """:func:`band_caveat` as far as the settings tell; None where they do not."""
+        kind, split_by = self.calibrator_class, self.setting("split.by")
+        if kind is None or split_by is None:
+            return None
+        return band_caveat(guarantee_of(kind), split_by, self.setting("split.test") or "own")
 
     @property
     def source(self) -> str:
@@ -130,27 +148,35 @@ class Run:
         )
         return pose_errors(estimate, truth, int(self.per_dof["n_calibration"].iloc[0]))
 
+    def mapping(self, key: str) -> Mapping[str, object]:
+        """An entry of the record that is a mapping; empty where it is not."""
+        value = self.record.get(key)
+        return value if isinstance(value, dict) else {}
+
     def entry(self, key: str) -> str | None:
         """An entry of the record as text."""
         value = self.record.get(key)
         return None if value is None or value == "" else str(value)
 
     def setting(self, key: str) -> str | None:
-        """A setting as text, such as ``mcd.passes``."""
-        return setting(self.settings, key)
+        """A setting as text, such as ``mcd.passes``; None where it is not there."""
+        try:
+            value = OmegaConf.select(OmegaConf.create(dict(self.settings)), key)
+        except OmegaConfBaseException:  # a reference to something that only lived in the run
+            return None
+        return None if value is None else str(value)
 
 
-def read_run(folder: Path, name: str = "", distinction: str = "") -> Run:
+def read_run(folder: Path, name: str = "") -> Run:
     """Read what a run has left; only results.csv must be there.
 
     Raises:
         UncalError: the run failed, there are no results, or a file is damaged.
     """
-    if (folder / FAILED).is_file():
-        reason = " ".join((folder / FAILED).read_text(encoding="utf-8").split())
+    if (reason := why_failed(folder)) is not None:
         raise UncalError(
-            f"{folder}: this run failed ({reason or 'for a reason unknown'}), so it has nothing to "
-            "compare. Run it again, or leave it out."
+            f"{folder}: this run failed ({reason}), so it has nothing to compare. Run it again, or "
+            "leave it out."
         )
     if not (folder / RESULTS.file).is_file():
         raise UncalError(
@@ -158,40 +184,14 @@ def read_run(folder: Path, name: str = "", distinction: str = "") -> Run:
             "folder that python -m uncal.train or uncal.evaluate has written and named at its end, "
             "or a multirun's folder with such folders in it."
         )
-    present = [schema for schema in TABLES if (folder / schema.file).is_file()]
-    tables = {schema: read_csv(folder / schema.file, schema) for schema in present}
-    return Run(folder, read_record(folder) or {}, tables, name, distinction)
+    run = Run(folder, read_record(folder) or {}, name)
+    _ = run.tables  # a damaged one is named here
+    return run
 
 
-def setting(settings: Mapping[str, object], key: str) -> str | None:
-    """One of a run's settings as text; None where it is not there."""
-    try:
-        value = OmegaConf.select(OmegaConf.create(dict(settings)), key)
-    except OmegaConfBaseException:  # a reference to something that only lived in the run
+def why_failed(folder: Path) -> str | None:
+    """The reason in one line why a job of a multirun failed; None if it did not."""
+    path = folder / FAILED
+    if not path.is_file():
         return None
-    return None if value is None else str(value)
-
-
-def calibrator_name(settings: Mapping[str, object]) -> str | None:
-    """Class of the interval method in a run's settings."""
-    target = setting(settings, "interval.calibrator._target_")
-    return target.rpartition(".")[2] if target else None
-
-
-def calibrator_class(settings: Mapping[str, object]) -> type[IntervalCalibrator] | None:
-    """The interval method in a run's settings; None if it is none of ours."""
-    kind = getattr(uncal.uncertainty, calibrator_name(settings) or "", None)
-    ours = isinstance(kind, type) and issubclass(kind, IntervalCalibrator)
-    return kind if ours else None
-
-
-def recorded_caveat(settings: Mapping[str, object]) -> str | None:
-    """:func:`band_caveat` as far as a run's settings tell; None where they do not."""
-    kind, split_by = calibrator_class(settings), setting(settings, "split.by")
-    if kind is None or split_by is None:
-        return None
-    return band_caveat(guarantee_of(kind), split_by, setting(settings, "split.test") or "own")
-
-
-def _mapping(value: object) -> Mapping[str, object]:
-    return value if isinstance(value, dict) else {}
+    return " ".join(path.read_text(encoding="utf-8").split()) or "for a reason unknown"

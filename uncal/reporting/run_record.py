@@ -8,6 +8,7 @@ import subprocess
 import time
 from collections.abc import Mapping, Sequence
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 
 from uncal import __version__
@@ -22,37 +23,18 @@ class RunRecord:
 
     Args:
         folder: of the run.
-        command: that starts this run, and no other of its multirun.
-        settings: all that another process needs to repeat it, as plain values.
-        label: what the data are.
-        seed: the run's.
-        device: such as cpu or cuda.
         request: digest of everything that decides the results.
+        about: what the run is, as plain values: ``command`` (starts this run, and no other of its
+            multirun), ``label`` of the data, ``seed``, ``device``, and the ``settings`` that
+            another process needs to repeat it.
     """
 
-    def __init__(
-        self,
-        folder: Path,
-        command: str,
-        settings: Mapping[str, object],
-        label: str,
-        seed: int,
-        device: str,
-        request: str,
-    ) -> None:
+    def __init__(self, folder: Path, request: str, **about: object) -> None:
         self.path = folder / NAME
         self.request = request
         self._began = time.monotonic()
-        self._content = {
-            "command": command,
-            "label": label,
-            "seed": seed,
-            "commit": commit_of_code(),
-            "version": __version__,
-            "device": device,
-            "request": request,
-            "settings": dict(settings),
-        }
+        own = {"commit": commit_of_code(), "version": __version__, "request": request}
+        self._content = {**about, **own}
 
     def begin(self) -> None:
         """Take away what an earlier run of other settings left in the folder.
@@ -95,23 +77,15 @@ def command_line(module: str, overrides: Sequence[str]) -> str:
 
 
 def commit_of_code() -> str | None:
-    """Short hash of the commit that this code was taken from; "+" if it was changed since.
-
-    Returns:
-        The hash; None where the code lies in no git repository of its own.
-    """
+    """Short hash of this code's commit, "+" if changed since; None outside a git repository."""
     package = Path(__file__).resolve().parents[1]
     if not (package.parent / ".git").exists():
         return None
+    git = ["git", "-C", str(package.parent)]
+    ask = partial(subprocess.run, capture_output=True, text=True, timeout=10, check=True)
     try:
-        head = _git(package, "rev-parse", "--short", "HEAD")
-        changed = _git(package, "status", "--porcelain", "--", "uncal", "conf")
+        head = ask([*git, "rev-parse", "--short", "HEAD"]).stdout.strip()
+        changed = ask([*git, "status", "--porcelain", "--", "uncal", "conf"]).stdout.strip()
     except (OSError, subprocess.SubprocessError):
         return None
     return f"{head}+" if changed else head
-
-
-def _git(package: Path, *arguments: str) -> str:
-    command = ["git", "-C", str(package.parent), *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=10, check=True)
-    return done.stdout.strip()

@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
 import torch
 
-from uncal.geometry import DOF_NAMES
+from uncal.geometry import DOF_NAMES, DOF_UNITS
 from uncal.metrics.bootstrap import CONFIDENCE, RESAMPLES
 from uncal.metrics.calibration_curve import calibration_error
 from uncal.reporting.control import blind_dofs
 from uncal.reporting.evaluation import Guarantee
-from uncal.reporting.layout import Grid, length, number
+from uncal.reporting.layout import Grid, length, markdown_lines, number
 from uncal.uncertainty.conformal.quantile import samples_needed
 
 if TYPE_CHECKING:
     import pandas as pd
+
+DOF_HEADINGS = [f"{dof} ({unit})" for dof, unit in zip(DOF_NAMES, DOF_UNITS, strict=True)]
+
+OUTSIDE = "*: outside the reference band."
 
 _FEW = 10
 """Fewer groups than this make a bootstrap's interval too narrow to be taken at its word."""
@@ -26,44 +30,66 @@ _FEW = 10
 
 @dataclass(frozen=True)
 class Section:
-    """A small table below the main one.
+    """A table with what belongs to it.
 
     Attributes:
         title: what it shows.
-        grid: rows of cells, the first the header; the first column names the rows.
+        grid: rows of cells, the first the header; the first column names the rows. Empty: no table.
         notes: sentences to print below.
+        published: how many of the first rows below the header are a paper's.
+        texts: how many of the first columns are words and not numbers.
+        groups: a heading above each column, "" where there is none; none at all if empty.
+        origins: the commands that gave the rows of runs.
     """
 
     title: str
     grid: Grid
     notes: Sequence[str] = ()
+    published: int = 0
+    texts: int = 1
+    groups: Sequence[str] = ()
+    origins: Sequence[str] = ()
+
+    def markdown(self, heading: str = "##") -> list[str]:
+        """Title, table, notes and commands as paragraphs of Markdown."""
+        header, *body = self.grid or [[]]
+        if self.groups:  # a table in Markdown has one line of headings
+            header = [f"{a} {b}".strip() for a, b in zip(self.groups, header, strict=True)]
+        return [
+            f"{heading} {self.title}",
+            *paragraph(markdown_lines([header, *body]) if self.grid else []),
+            *paragraph(f"- {note}" for note in self.notes),
+            *paragraph(f"    {origin}" for origin in self.origins),
+        ]
+
+
+def paragraph(lines: Iterable[str]) -> list[str]:
+    """Lines as one paragraph, none if there are none."""
+    text = "\n".join(lines)
+    return [text] if text else []
 
 
 def joint_section(joint: pd.DataFrame, guarantee: Guarantee) -> Section:
     """Coverage of the whole pose, levels as columns."""
     exact = guarantee == "exact"
-    marks = ["*" if exact and not inside else "" for inside in joint["joint_in_band"]]
-    boxes = [number(v, 1) + mark for v, mark in zip(joint["joint"], marks, strict=True)]
-    bands = [
-        f"{number(low, 1)}-{number(high, 1)}"
-        for low, high in zip(joint["joint_low"], joint["joint_high"], strict=True)
-    ]
+    boxes = [marked(row["joint"], row["joint_in_band"], exact) for _, row in joint.iterrows()]
+    ends = zip(joint["joint_low"], joint["joint_high"], strict=True)
+    bands = [f"{number(low, 1)}-{number(high, 1)}" for low, high in ends]
     grid = [
         ["", *(f"{level:g}%" for level in joint["level"])],
-        ["All six intervals at once (%)", *(number(v, 1) for v in joint["together"])],
+        ["All six intervals at once (%)", *numbers(joint["together"], 1)],
         ["Joint box (%)", *boxes],
         *([["Joint box, reference band (%)", *bands]] if exact else []),
-        ["Bonferroni box (%)", *(number(v, 1) for v in joint["bonferroni"])],
-        ["Bonferroni / joint, width", *(number(v, 2) for v in joint["bonferroni_size"])],
+        ["Bonferroni box (%)", *numbers(joint["bonferroni"], 1)],
+        ["Bonferroni / joint, width", *numbers(joint["bonferroni_size"], 2)],
     ]
     if joint["ellipsoid"].notna().any():
-        grid.append(["Joint ellipsoid (%)", *(number(v, 1) for v in joint["ellipsoid"])])
-        sizes = (number(v, 2) for v in joint["ellipsoid_size"])
-        grid.append(["Joint box / ellipsoid, width", *sizes])
+        grid.append(["Joint ellipsoid (%)", *numbers(joint["ellipsoid"], 1)])
+        grid.append(["Joint box / ellipsoid, width", *numbers(joint["ellipsoid_size"], 2)])
     notes = [
         "All six intervals at once: the level applies to each DoF alone, not to all six together.",
         "Joint box: intervals for all six DoF at once, from the largest score.",
-        *(["*: outside the reference band."] if any(marks) else []),
+        *([OUTSIDE] if any("*" in cell for cell in boxes) else []),
         "Bonferroni box: each DoF at level 1 - α/6.",
     ]
     for level, m in zip(joint["level"], joint["n_calibration"], strict=True):
@@ -89,7 +115,7 @@ def conditional_section(conditional: pd.DataFrame) -> Section:
             fewest, most = cells["n"].min(), cells["n"].max()
             size = f"{fewest}" if fewest == most else f"{fewest}-{most}"
             label = f"{title} {name}, {size} frames (%)"
-            grid.append([label, *(number(v, 1) for v in cells["picp"])])
+            grid.append([label, *numbers(cells["picp"], 1)])
     usable = rows[rows["n"] > 0].sort_values("n", kind="stable")
     typical = usable.iloc[len(usable) // 2]
     return Section(
@@ -108,15 +134,11 @@ def curve_section(curve: pd.DataFrame, guarantee: Guarantee) -> Section:
     """How far each DoF's curve is from the diagonal."""
     picp = curve.pivot(index="level", columns="dof", values="picp")[list(DOF_NAMES)]
     levels = [float(level) for level in picp.index]
-    error = calibration_error(
-        torch.tensor(picp.to_numpy() / 100), [level / 100 for level in levels]
-    )
+    shares = torch.tensor(picp.to_numpy() / 100)
+    error = calibration_error(shares, [level / 100 for level in levels])
     grid = [
         ["", *DOF_NAMES],
-        [
-            "Mean |empirical - nominal| (points)",
-            *(number(100 * e, 1) for e in error.absolute.tolist()),
-        ],
+        ["Mean |empirical - nominal| (points)", *numbers((100 * error.absolute).tolist(), 1)],
         ["Mean empirical - nominal (points)", *(f"{100 * e:+.1f}" for e in error.signed.tolist())],
     ]
     notes = [
@@ -131,16 +153,12 @@ def curve_section(curve: pd.DataFrame, guarantee: Guarantee) -> Section:
 
 def control_section(control: pd.DataFrame) -> Section:
     """The image-blind control, DoF as columns."""
-
-    def lengths(column: str) -> list[str]:
-        return [length(v, u) for v, u in zip(control[column], control["unit"], strict=True)]
-
     grid = [
-        ["", *(f"{d} ({u})" for d, u in zip(control["dof"], control["unit"], strict=True))],
-        ["MAE before", *lengths("mae_before")],
-        ["MAE after, MC mean", *lengths("mae_mean")],
-        ["MAE after, one pass without dropout", *lengths("mae_single")],
-        ["the same, another frame's image", *lengths("mae_blind")],
+        ["", *DOF_HEADINGS],
+        ["MAE before", *lengths(control, "mae_before")],
+        ["MAE after, MC mean", *lengths(control, "mae_mean")],
+        ["MAE after, one pass without dropout", *lengths(control, "mae_single")],
+        ["the same, another frame's image", *lengths(control, "mae_blind")],
         contribution_cells(control),
         [f"{CONFIDENCE:.0%} interval (%)", *_intervals(control)],
     ]
@@ -167,11 +185,11 @@ def contribution_cells(control: pd.DataFrame) -> list[str]:
     return ["camera contributes (%)", *map(_percent, control["contribution"])]
 
 
-def contribution_line(control: pd.DataFrame) -> dict[str, str]:
+def contribution_line(control: pd.DataFrame) -> str:
     """The line of the summary, which has the intervals."""
     values = zip(control["dof"], contribution_cells(control)[1:], _intervals(control), strict=True)
-    cells = (f"{dof} {value} ({interval})" for dof, value, interval in values)
-    return {f"Camera contributes (%, {CONFIDENCE:.0%} interval)": ", ".join(cells)}
+    cells = ", ".join(f"{dof} {value} ({interval})" for dof, value, interval in values)
+    return f"Camera contributes (%, {CONFIDENCE:.0%} interval): {cells}"
 
 
 def contribution_note(control: pd.DataFrame) -> str:
@@ -193,6 +211,44 @@ def _bootstrap_note(control: pd.DataFrame) -> str:
     if groups == "frames":
         return f"{note} of one drive, which are dependent: rather too narrow."
     return f"{note}."
+
+
+def main_grid(per_dof: pd.DataFrame, control: pd.DataFrame | None, exact: bool) -> Grid:
+    """The paper's table, DoF as columns: a heading, the errors, three lines per level."""
+    by_level = list(per_dof.groupby("level", sort=False))
+    errors = by_level[0][1]
+    grid = [
+        ["", *DOF_HEADINGS],
+        ["MAE before", *lengths(errors, "mae_before")],
+        ["MAE after", *lengths(errors, "mae_after")],
+        ["after / before", *numbers(errors["ratio"], 2)],
+        *([] if control is None else [contribution_cells(control)]),
+    ]
+    for level, rows in by_level:
+        first = rows.iloc[0]
+        band = f", reference band {first['coverage_low']:.1f}-{first['coverage_high']:.1f}"
+        picp = [marked(row["picp"], row["in_band"], exact) for _, row in rows.iterrows()]
+        grid += [
+            [f"{level:g}% PICP{band if exact else ''} (%)", *picp],
+            [f"{level:g}% MPIW", *lengths(rows, "mpiw")],
+            [f"{level:g}% IS", *lengths(rows, "is")],
+        ]
+    return grid
+
+
+def lengths(frame: pd.DataFrame, column: str) -> list[str]:
+    """A column of lengths and angles as cells."""
+    return [length(v, unit) for v, unit in zip(frame[column], frame["unit"], strict=True)]
+
+
+def numbers(values: Iterable[float], digits: int) -> list[str]:
+    """Numbers as cells."""
+    return [number(value, digits) for value in values]
+
+
+def marked(coverage: float, in_band: object, exact: bool) -> str:
+    """Coverage in percent as a cell, with a star if it is outside the band that must hold it."""
+    return number(coverage, 1) + ("*" if exact and not in_band else "")
 
 
 def _percent(value: float) -> str:

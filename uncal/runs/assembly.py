@@ -30,7 +30,7 @@ from uncal.models.estimator import PoseEstimator
 from uncal.models.evidence import EvidenceNetwork
 from uncal.models.module import CalibrationModule
 from uncal.recordings.frame import Recording
-from uncal.runs.saving import WholeCheckpoints
+from uncal.runs.checkpoint import WholeCheckpoints
 from uncal.settings.guard import names_the_setting
 from uncal.simulation.cache import ensure_simulated
 from uncal.simulation.manifest import MANIFEST_NAME

@@ -38,13 +38,13 @@ def make_record(
         "code": digest_of_code((".",)),
     }
     return RunRecord(
-        folder=job_folder(),
+        job_folder(),
+        digest_of(decisive),
         command=command_line(entry_point, job_overrides()),
-        settings=module.recipe,
         label=config.dataset.label,
         seed=config.seed,
         device=trainer.strategy.root_device.type,
-        request=digest_of(decisive),
+        settings=module.recipe,
     )
 
 

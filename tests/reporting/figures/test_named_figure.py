@@ -8,14 +8,16 @@ import matplotlib as mpl
 import pytest
 
 from uncal.geometry import DOF_NAMES
-from uncal.reporting.figures.named import PNG_DPI, NamedFigure, save
 from uncal.reporting.figures.style import (
     DOF_COLOURS,
     DOF_LINES,
     DOF_MARKERS,
+    PNG_DPI,
     SINGLE_COLUMN,
+    NamedFigure,
     new_figure,
     paper_style,
+    save,
     shared_legend,
 )
 

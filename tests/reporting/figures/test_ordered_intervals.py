@@ -8,7 +8,7 @@ import pytest
 from matplotlib.axes import Axes
 
 from uncal.geometry import DOF_NAMES, DOF_UNITS
-from uncal.reporting.figures.ordered_intervals import (
+from uncal.reporting.figures.predictions import (
     POINTS,
     bounds,
     covered,

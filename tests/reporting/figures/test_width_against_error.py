@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from uncal.geometry import DOF_NAMES, DOF_UNITS
-from uncal.reporting.figures.width_against_error import rank_correlation, width_against_error
+from uncal.reporting.figures.predictions import rank_correlation, width_against_error
 
 ERROR = np.array([1.0, -2.0, 3.0, 4.0])
 HALF = np.array([2.0, 1.0, 5.0, 4.5])

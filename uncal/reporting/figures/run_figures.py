@@ -4,43 +4,30 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from uncal.reporting.figures.calibration_curves import calibration_curves
-from uncal.reporting.figures.joint_coverage import joint_coverage
-from uncal.reporting.figures.named import NamedFigure
-from uncal.reporting.figures.ordered_intervals import ordered_intervals
-from uncal.reporting.figures.width_against_error import width_against_error
+from uncal.reporting.figures.coverage import calibration_curves, joint_coverage
+from uncal.reporting.figures.predictions import ordered_intervals, width_against_error
+from uncal.reporting.figures.style import NamedFigure
 from uncal.reporting.frames import CURVE, JOINT, PREDICTIONS, Schema, read_csv
-from uncal.reporting.run import recorded_caveat
-from uncal.reporting.run_record import read_record
+from uncal.reporting.run import Run
 
 if TYPE_CHECKING:
     import pandas as pd
 
 
-def run_figures(folder: Path, label: str, caveat: str | None = None) -> list[NamedFigure]:
+def run_figures(run: Run) -> list[NamedFigure]:
     """Every figure that the files of a run allow; a missing file means fewer figures.
 
     Raises:
         UncalError: a file is damaged.
     """
-    drawn = [draw() for draw in figure_makers(folder, label, caveat).values()]
-    return [figure for figure in drawn if figure is not None]
+    return [figure for draw in figure_makers(run).values() if (figure := draw()) is not None]
 
 
-def figure_makers(
-    folder: Path, label: str, caveat: str | None = None
-) -> dict[str, Callable[[], NamedFigure | None]]:
-    """One function per figure, so that one that fails leaves the others.
-
-    Returns:
-        Name of the figure → what draws it, or answers None where the run does not allow it.
-    """
-    if caveat is None:
-        settings = (read_record(folder) or {}).get("settings")
-        caveat = recorded_caveat(settings) if isinstance(settings, dict) else None
+def figure_makers(run: Run) -> dict[str, Callable[[], NamedFigure | None]]:
+    """Name of a figure → what draws it, or returns None where the run does not allow it."""
+    folder, label, caveat = run.folder, run.label, run.caveat
 
     @cache
     def read(schema: Schema) -> pd.DataFrame:

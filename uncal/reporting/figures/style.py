@@ -1,11 +1,13 @@
-"""How figures look: sizes of a paper's columns, and colours that the colour-blind tell apart."""
+"""How figures look (sizes, colours that the colour-blind tell apart), and how they become files."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import logging
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
-from types import MappingProxyType
-from typing import Any
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
 
 import matplotlib as mpl
 from matplotlib.axes import Axes
@@ -14,6 +16,9 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.legend import Legend
 
 from uncal.geometry import DOF_NAMES
+from uncal.reporting.layout import replaced_whole
+
+PNG_DPI = 200
 
 SINGLE_COLUMN, DOUBLE_COLUMN = 3.4, 7.0
 """Widths of a paper's column and page, inches."""
@@ -28,11 +33,13 @@ GREY = "#595959"
 BAND_GREY = "#D9D9D9"
 """Of shaded bands that stand for theory."""
 
-DOF_COLOURS = MappingProxyType(
-    dict(zip(DOF_NAMES, (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY), strict=True))
-)
-DOF_LINES = MappingProxyType(dict(zip(DOF_NAMES, ("-", "--", "-.") * 2, strict=True)))
-DOF_MARKERS = MappingProxyType(dict(zip(DOF_NAMES, "os^Dvp", strict=True)))
+REFERENCE: Mapping[str, Any] = {"color": GREY, "linewidth": 0.8, "linestyle": ":"}
+"""Look of a line at what should be."""
+
+_HUES = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
+DOF_COLOURS: Mapping[str, str] = dict(zip(DOF_NAMES, _HUES, strict=True))
+DOF_LINES: Mapping[str, str] = dict(zip(DOF_NAMES, ("-", "--", "-.") * 2, strict=True))
+DOF_MARKERS: Mapping[str, str] = dict(zip(DOF_NAMES, "os^Dvp", strict=True))
 """So that colour is never the only cue."""
 
 TRANSLATIONS, ROTATIONS = DOF_NAMES[:3], DOF_NAMES[3:]
@@ -40,8 +47,8 @@ TRANSLATIONS, ROTATIONS = DOF_NAMES[:3], DOF_NAMES[3:]
 
 def dof_style(dof: str) -> dict[str, Any]:
     """Colour, line, marker and label that a DoF has in every figure."""
-    looks = {"color": DOF_COLOURS[dof], "linestyle": DOF_LINES[dof], "marker": DOF_MARKERS[dof]}
-    return {**looks, "label": dof}
+    colour, line, marker = (each[dof] for each in (DOF_COLOURS, DOF_LINES, DOF_MARKERS))
+    return {"color": colour, "linestyle": line, "marker": marker, "label": dof}
 
 
 _LABEL_POINTS = 6.5
@@ -61,6 +68,7 @@ _STYLE = {
     "ytick.major.width": 0.6,
     "lines.linewidth": 1.2,
     "lines.markersize": 3.5,
+    "axes.grid": True,
     "grid.color": "#E6E6E6",
     "grid.linewidth": 0.5,
     "axes.axisbelow": True,
@@ -89,13 +97,10 @@ def new_figure(
     height: float,
     label: str,
     sharex: bool = False,
-    sharey: bool = False,
+    sharey: bool | Literal["row"] = False,
     heights: Sequence[float] | None = None,
 ) -> tuple[Figure, list[Axes]]:
-    """A figure without pyplot, laid out so that nothing overlaps; call it in :func:`paper_style`.
-
-    Returns:
-        The figure and its panels, row by row.
+    """A figure and its panels, row by row, without pyplot; call it in :func:`paper_style`.
 
     >>> with paper_style():
     ...     figure, panels = new_figure(1, 2, height=2.4, label="simulated")
@@ -115,12 +120,6 @@ def new_figure(
     return figure, list(grid.flat)
 
 
-def light_grid(panels: Iterable[Axes]) -> None:
-    """Faint lines to read values by."""
-    for panel in panels:
-        panel.grid(visible=True)
-
-
 def shared_legend(figure: Figure, panels: Iterable[Axes]) -> Legend:
     """One legend above all panels, where it hides nothing; what several have is named once."""
     handles = {
@@ -136,3 +135,48 @@ def shared_legend(figure: Figure, panels: Iterable[Axes]) -> Legend:
         columnspacing=1.4,
         handletextpad=0.5,
     )
+
+
+@dataclass(frozen=True)
+class NamedFigure:
+    """A figure that has not been written yet.
+
+    Attributes:
+        name: file stem, such as "calibration_curves".
+        title: heading where the figure stands on a page.
+        caption: one or a few sentences on how to read it.
+        figure: of :func:`new_figure`.
+    """
+
+    name: str
+    title: str
+    caption: str
+    figure: Figure
+
+
+def save(figure: NamedFigure, folder: Path) -> tuple[Path, Path]:
+    """Write ``<name>.png`` for the screen and ``<name>.pdf`` for a paper, each whole or not at all.
+
+    The same figure gives the same bytes: no file carries the time of its making.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    png, pdf = (folder / f"{figure.name}.{kind}" for kind in ("png", "pdf"))
+    drawn = figure.figure
+    fonts = logging.getLogger("fontTools")  # tells a hundred lines for every font in a PDF
+    level = fonts.level
+    fonts.setLevel(logging.WARNING)
+    try:
+        with paper_style():
+            with replaced_whole(png) as partial:
+                about = {"Title": figure.title, "Description": figure.caption}
+                drawn.savefig(partial, format="png", dpi=PNG_DPI, metadata=about)
+            # The panels stand where they should by now, and to place them is a third of the work.
+            layout = drawn.get_layout_engine()
+            drawn.set_layout_engine("none")
+            with replaced_whole(pdf) as partial:
+                subject = {"Title": figure.title, "Subject": figure.caption, "CreationDate": None}
+                drawn.savefig(partial, format="pdf", dpi=PNG_DPI, metadata=subject)
+            drawn.set_layout_engine(layout)
+    finally:
+        fonts.setLevel(level)
+    return png, pdf
