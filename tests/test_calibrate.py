@@ -22,8 +22,8 @@ from uncal.geometry.decalibration import decalibrate
 from uncal.models.module import CalibrationModule
 from uncal.models.split_prediction import SplitPrediction
 from uncal.monitor.references import INSIDE, References, find_references
+from uncal.recordings.folder_listing import layout_of
 from uncal.recordings.frame import FrameId
-from uncal.recordings.layout_names import layout_of
 from uncal.recordings.plain_folder import PlainFolder
 from uncal.settings.configuration import CONFIG_DIR
 from uncal.simulation.formats.bag import drive_as_bag

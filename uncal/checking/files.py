@@ -13,8 +13,7 @@ from uncal.checking.layouts import Stamps
 from uncal.errors import CalibrationMissing, NothingPaired, RecordingError, RotationError
 from uncal.recordings.folder_recording import FolderRecording
 from uncal.recordings.frame import Recording
-from uncal.recordings.image_sizes import png_size
-from uncal.recordings.plain_folder import PlainFolder
+from uncal.recordings.sensor_files import image_size
 
 _PNG_END = b"IEND\xaeB`\x82"
 _JPEG_END = b"\xff\xd9"
@@ -67,7 +66,7 @@ def of_files(drive: str, recording: Recording) -> list[Finding]:
                 error=n > len(recording.frame_ids),
             )
         )
-    if not isinstance(recording, FolderRecording | PlainFolder):
+    if not isinstance(recording, FolderRecording):
         return found
     pairs = [recording.paths(frame) for frame in recording.frame_ids]
     images, scans = ([pair[side] for pair in pairs] for side in (0, 1))
@@ -154,7 +153,7 @@ def _cut_scans(scans: Sequence[Path]) -> list[Path]:
 
 
 def _sizes(drive: str, images: Sequence[Path], declared: tuple[int, int] | None) -> list[Finding]:
-    sizes = [png_size(path) for path in images]
+    sizes = [image_size(path) for path in images]
     known: NDArray[np.int64] = np.array([size for size in sizes if size], dtype=np.int64)
     if not len(known):
         return []

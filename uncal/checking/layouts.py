@@ -17,11 +17,11 @@ from uncal.recordings import dsec_layout, kitti, kitti_odometry
 from uncal.recordings.bag_stream import is_bag
 from uncal.recordings.calibration_files import read_calibration_file
 from uncal.recordings.dsec import Dsec
-from uncal.recordings.folder_listing import contents
+from uncal.recordings.folder_listing import RIG_FILE, contents
 from uncal.recordings.frame import Recording
 from uncal.recordings.kitti import KittiRaw
 from uncal.recordings.kitti_odometry import KittiOdometry
-from uncal.recordings.plain_calibration import FILE, read_rig
+from uncal.recordings.plain_calibration import read_rig
 from uncal.recordings.plain_folder import STAMPS, PlainFolder, find_drives
 from uncal.recordings.sensor_files import read_clock_times, read_second_times
 
@@ -70,7 +70,7 @@ def find_layout(root: Path, camera: str | None) -> tuple[str, list[Drive]]:
         return "bag", [Drive(root.name, partial(BagRecording, root, camera))]
     if not root.is_dir():
         raise RecordingError(f"{root} is no folder of recordings and no bag.")
-    if (root / FILE).is_file() or any(root.glob(f"*/{FILE}")):
+    if (root / RIG_FILE).is_file() or any(root.glob(f"*/{RIG_FILE}")):
         return "plain folder", [_plain(root, folder, camera) for folder in find_drives(root)]
     if (root / "sequences").is_dir():
         return "KITTI odometry", _odometry(root, camera)
@@ -139,11 +139,11 @@ def _dsec_drive(root: Path, folder: dsec_layout.SequenceFolder, side: str | None
 
 def _velo_to_cam(path: Path) -> NDArray[np.float64]:
     known = read_calibration_file(path)
-    return np.vstack([np.column_stack([known["R"].reshape(3, 3), known["T"]]), [0, 0, 0, 1]])
+    return np.vstack([np.column_stack([known["R"], known["T"]]), [0, 0, 0, 1]])
 
 
 def _Tr(path: Path) -> NDArray[np.float64]:
-    return np.vstack([read_calibration_file(path)["Tr"].reshape(3, 4), [0, 0, 0, 1]])
+    return np.vstack([read_calibration_file(path)["Tr"], [0, 0, 0, 1]])
 
 
 def _from_lidar_camera(path: Path) -> NDArray[np.float64]:
@@ -157,7 +157,7 @@ def _plain(root: Path, folder: Path, camera: str | None) -> Drive:
     files = {str(path): path for path in sorted(folder.glob(f"*/{STAMPS}"))}
     stamps = partial(_read_stamps, read_second_times, files)
     try:
-        by_number = read_rig(folder.parent / FILE).tolerance_s is None
+        by_number = read_rig(folder.parent / RIG_FILE).tolerance_s is None
     except RecordingError:  # said when the drive is opened
         by_number = True
     return Drive(name, read, stamps, by_number=by_number)

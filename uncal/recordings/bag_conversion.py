@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from uncal.errors import ConfigurationError, RecordingError
 from uncal.recordings.bag_stream import BagStream, Observation
-from uncal.recordings.plain_calibration import FILE, parse_transform, read_rig
+from uncal.recordings.folder_listing import RIG_FILE
+from uncal.recordings.plain_calibration import parse_transform, read_rig
 from uncal.recordings.plain_folder import STAMPS
 from uncal.recordings.sensor_files import write_image
 from uncal.system.progress import watched
@@ -88,8 +89,8 @@ def write_folder(
         n, damage = _write_pairs(pairs, partial / camera, partial / lidar, every)
         if n:
             if rig is not None:
-                (partial / FILE).write_text(rig, encoding="utf-8")
-                (partial / FILE).replace(root / FILE)
+                (partial / RIG_FILE).write_text(rig, encoding="utf-8")
+                (partial / RIG_FILE).replace(root / RIG_FILE)
             partial.rename(folder)
     finally:
         shutil.rmtree(partial, ignore_errors=True)
@@ -136,7 +137,7 @@ def _new_rig(
 ) -> str | None:
     """Text of the ``rig.yaml`` that the root lacks; None if it has the same already."""
     K, size = stream.lens.K_undistorted, stream.lens.size
-    path = root / FILE
+    path = root / RIG_FILE
     if path.is_file():
         rig = read_rig(path)
         known = rig.T_cam_lidar.get((camera, lidar))
