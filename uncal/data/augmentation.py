@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Annotated, ClassVar
 
 import torch
 from torch import Tensor
@@ -11,7 +12,8 @@ from torch import Tensor
 from uncal.data.camera_rotation import rotate_cameras
 from uncal.data.dataset import Batch
 from uncal.edges.sweep import KIND, N_ACROSS, SIDE
-from uncal.errors import ConfigurationError
+from uncal.settings.group import SettingsGroup
+from uncal.settings.rules import number
 
 
 def mirror(batch: Batch, which: Tensor) -> Batch:
@@ -46,7 +48,7 @@ def mirror(batch: Batch, which: Tensor) -> Batch:
 
 
 @dataclass(frozen=True)
-class Augmentation:
+class Augmentation(SettingsGroup):
     """What happens to a training batch before it is decalibrated.
 
     Attributes:
@@ -57,27 +59,11 @@ class Augmentation:
             :mod:`uncal.data.camera_rotation`.
     """
 
-    mirror: float
-    brightness: float
-    contrast: float
-    rotation_deg: float = 0.0
-
-    def __post_init__(self) -> None:
-        """Check the bounds.
-
-        Raises:
-            ConfigurationError: a number is out of its range.
-        """
-        for key, value, top in (
-            ("mirror", self.mirror, 1.0),
-            ("brightness", self.brightness, 1.0),
-            ("contrast", self.contrast, 1.0),
-            ("rotation_deg", self.rotation_deg, 20.0),
-        ):
-            if not 0.0 <= value <= top:
-                raise ConfigurationError(
-                    f"augmentation.{key}={value}: expected a number in [0, {top:g}]"
-                )
+    key: ClassVar[str] = "augmentation"
+    mirror: Annotated[float, number(0, 1)]
+    brightness: Annotated[float, number(0, 1)]
+    contrast: Annotated[float, number(0, 1)]
+    rotation_deg: Annotated[float, number(0, 20)] = 0.0
 
     def __call__(self, batch: Batch) -> Batch:
         """Augment a batch with torch's global generator."""

@@ -9,17 +9,19 @@ from __future__ import annotations
 import hashlib
 import math
 from dataclasses import dataclass
+from typing import Annotated, ClassVar
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from uncal.errors import ConfigurationError
 from uncal.geometry import invert, pose_to_matrix
+from uncal.settings.group import SettingsGroup
+from uncal.settings.rules import number
 
 
 @dataclass(frozen=True)
-class DecalibrationRange:
+class DecalibrationRange(SettingsGroup):
     """Uniform decalibrations, independent per axis (the paper: ±1°, ±10 cm).
 
     Attributes:
@@ -27,23 +29,9 @@ class DecalibrationRange:
         translation_cm: bound of |x|, |y| and |z|, centimetres.
     """
 
-    rotation_deg: float
-    translation_cm: float
-
-    def __post_init__(self) -> None:
-        """Check the bounds.
-
-        Raises:
-            ConfigurationError: a bound is not a positive finite number, or rotations exceed 45°.
-        """
-        for key, value, top in (
-            ("rotation_deg", self.rotation_deg, 45.0),
-            ("translation_cm", self.translation_cm, 1000.0),
-        ):
-            if not 0.0 < value <= top:
-                raise ConfigurationError(
-                    f"decalibration.{key}={value}: expected a number in (0, {top:g}]"
-                )
+    key: ClassVar[str] = "decalibration"
+    rotation_deg: Annotated[float, number(0, 45, above=True)]
+    translation_cm: Annotated[float, number(0, 1000, above=True)]
 
     @property
     def rotation(self) -> float:

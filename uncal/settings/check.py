@@ -14,7 +14,7 @@ from uncal.errors import ConfigurationError
 from uncal.settings.annotations import annotation_of, conforms, described
 from uncal.settings.bounds import SIZES, bounds_of
 from uncal.settings.readers import Tree, refuse_unread
-from uncal.settings.rules import Listed, Number, Rule, like
+from uncal.settings.rules import like
 from uncal.settings.shipped import shipped_for_this_job
 
 NEEDED: Mapping[str, str] = {
@@ -115,23 +115,12 @@ def _faults(
         yield f"{key}={_shown(value)}: expected a group of keys ({', '.join(default) or 'none'})"
     elif not isinstance(value, dict) or not isinstance(default, dict | None):
         shipped = _shipped_value(default)
-        rule = bounds_of(key) or _by_kind(key, shipped)
+        rule = bounds_of(key) or like(shipped, SIZES if key.startswith("model.") else None)
         if rule is not None and not rule.holds(value):
             hint = "" if shipped is None else f"; the default is {_shown(shipped)}"
-            yield f"{key}={_shown(value)}: expected {rule.expected()}{hint}"
+            yield f"{key}={_shown(value)}: expected {rule.expected}{hint}"
         elif rule is None and known:
             yield from _by_annotation(config, key, value)
-
-
-def _by_kind(key: str, shipped: object) -> Rule | None:
-    rule = like(shipped)
-    if not key.startswith("model."):
-        return rule
-    if isinstance(rule, Number) and rule.whole:
-        return SIZES
-    if isinstance(rule, Listed) and isinstance(rule.each, Number) and rule.each.whole:
-        return Listed(SIZES)
-    return rule
 
 
 def _by_annotation(config: DictConfig, key: str, value: object) -> Iterator[str]:
