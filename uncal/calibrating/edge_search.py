@@ -69,32 +69,19 @@ class EdgeField:
         self.K = batch.K
 
     def fewer(self, edges: int) -> EdgeField:
-        """The same with fewer edges, of which any first part is a fair sample.
-
-        Args:
-            edges: of each frame.
-        """
+        """The same with fewer edges a frame, of which any first part is a fair sample."""
         smaller = copy(self)
         smaller.edges, smaller.weights = self.edges[:, :edges], self.weights[:, :edges]
         return smaller
 
     def strength(self, blur_deg: float) -> Tensor:
-        """(B, 2, H, W) blurred edge strength above the image's mean.
-
-        Args:
-            blur_deg: standard deviation, degrees at the image's centre.
-        """
+        """(B, 2, H, W) edge strength above the image's mean, blurred by degrees at its centre."""
         sigma = float(np.radians(blur_deg)) * self.K[:, 0, 0]
         strength = blurred(self.maps, sigma)
         return SHARPNESS * (strength - strength.mean((2, 3), keepdim=True))
 
     def total(self, strength: Tensor, T: Tensor) -> Tensor:
-        """(P,) sum of all frames' scores.
-
-        Args:
-            strength: of :meth:`strength`.
-            T: (P, 4, 4) extrinsics.
-        """
+        """(P,) sum of all frames' scores of (P, 4, 4) extrinsics, on what :meth:`strength` gave."""
         of_frames = [  # one by one, since all poses of all frames would fill the memory
             score(s[None], e[None], w[None], k[None], T[None])[0]
             for s, e, w, k in zip(strength, self.edges, self.weights, self.K, strict=True)
@@ -145,16 +132,7 @@ def search_wide(
 
 
 def refine(field: EdgeField, T_start: Matrix, blur_deg: Sequence[float] = FINE_BLUR_DEG) -> Matrix:
-    """Climb to the nearest maximum, coarse blur first (L-BFGS with the exact gradient).
-
-    Args:
-        field: the frames.
-        T_start: (4, 4) LiDAR to camera.
-        blur_deg: coarse to fine.
-
-    Returns:
-        (4, 4).
-    """
+    """Climb from (4, 4) to the nearest maximum, coarse blur first (L-BFGS, exact gradient)."""
     T = torch.from_numpy(T_start)
     for blur in blur_deg:
         value = _objective(field, field.strength(blur), T)

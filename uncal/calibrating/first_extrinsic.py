@@ -62,11 +62,7 @@ class FirstExtrinsic:
 
 
 def load_frames(recording: Recording, most: int) -> list[Frame]:
-    """Readable frames, spread evenly over the recording.
-
-    Args:
-        recording: of one rig.
-        most: how many at most.
+    """At most so many readable frames, spread evenly over the recording of one rig.
 
     Raises:
         RecordingError: none can be read.
@@ -87,14 +83,7 @@ def load_frames(recording: Recording, most: int) -> list[Frame]:
 def edge_field(
     frames: Sequence[Frame], reader: EvidenceReader, T_guess: Matrix, within: DecalibrationRange
 ) -> EdgeField:
-    """Frames with the edges that an extrinsic near the guess may bring into the image.
-
-    Args:
-        frames: of one rig.
-        reader: the weights, which say what images look like to the network.
-        T_guess: (4, 4) LiDAR to camera.
-        within: how far the guess may be off.
-    """
+    """Frames with the edges that an extrinsic near the guess may bring into the image."""
     samples: list[Sample] = []
     for place, frame in enumerate(frames):
         dataset = copy.copy(reader.dataset(frame))
@@ -122,14 +111,6 @@ def first_extrinsic(
     network, within its range, was as wrong as that. More frames than their window has do not make
     it narrower, since what is common to a rig does not average out, and it reaches at least as far
     as refinement and network differ.
-
-    Args:
-        frames: of one rig.
-        reader: the weights.
-        T_guess: (4, 4) LiDAR to camera.
-        within: how far it may be off.
-        references: of the weights.
-        settings: of the monitor: level and fewest edges.
 
     Raises:
         RecordingError: no frame has enough edges in the image.

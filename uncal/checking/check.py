@@ -114,11 +114,7 @@ def _check(drive: Drive, n_frames: int, overlays: Path | None) -> DriveReport:
 
 
 def chosen_runs(ids: Sequence[FrameId], n_frames: int) -> list[list[FrameId]]:
-    """Stretches of :data:`RUN` consecutive frames, spread over a drive.
-
-    Args:
-        ids: of the drive.
-        n_frames: frames in all, at most.
+    """Stretches of :data:`RUN` consecutive frames, ``n_frames`` at most in all, over a drive.
 
     >>> ids = [FrameId("rig", "drive", i) for i in range(20)]
     >>> [[frame.index for frame in run] for run in chosen_runs(ids, 8)]

@@ -22,12 +22,7 @@ _SHORT = 0.5
 
 
 def of_error(drive: str, error: RecordingError) -> Finding:
-    """A drive that could not be opened.
-
-    Args:
-        drive: its name.
-        error: what the reader said.
-    """
+    """A drive that could not be opened."""
     kinds = {
         CalibrationMissing: ("calibration", "the calibration beside the recordings"),
         RotationError: ("rotation", "R·Rᵀ = I with determinant 1"),
@@ -47,12 +42,7 @@ def of_error(drive: str, error: RecordingError) -> Finding:
 
 
 def of_files(drive: str, recording: Recording) -> list[Finding]:
-    """Incomplete frames, files that end too early, images of another size.
-
-    Args:
-        drive: name of the drive.
-        recording: as opened.
-    """
+    """Incomplete frames, files that end too early, images of another size."""
     found = []
     if recording.skipped:
         n, first = len(recording.skipped), next(iter(recording.skipped.values()))

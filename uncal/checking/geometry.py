@@ -74,13 +74,7 @@ def judge(views: Sequence[View]) -> Judgement:
 
 
 def finding(drive: str, judgement: Judgement, in_view: bool) -> list[Finding]:
-    """The judgement in words.
-
-    Args:
-        drive: name of the drive.
-        judgement: of its views.
-        in_view: whether any point of the sweeps is in the image, as declared.
-    """
+    """The judgement in words; ``in_view``: any point is in the image, as declared."""
     support, repair = judgement
     declared = f"{support:.1f} σ"
     if np.isnan(support):
@@ -110,12 +104,7 @@ def finding(drive: str, judgement: Judgement, in_view: bool) -> list[Finding]:
 
 
 def of_units(drive: str, points: NDArray[np.float32]) -> Finding | None:
-    """Points in millimetres, by their ranges alone: a projection does not tell.
-
-    Args:
-        drive: name of the drive.
-        points: (N, 3 or more) of any frame.
-    """
+    """Points in millimetres, by their ranges alone: a projection does not tell."""
     usual = float(np.median(np.linalg.norm(points[:, :3], axis=1)))
     if usual < _FAR_M:
         return None

@@ -17,18 +17,11 @@ from uncal.settings.rules import number
 
 
 def mirror(batch: Batch, which: Tensor) -> Batch:
-    """Mirror scenes left-right: image or events, camera matrix, sweep and extrinsic together.
+    """Mirror samples where (B,) ``which`` says: camera, its matrix, sweep and extrinsic together.
 
     With M the reflection of the camera's x axis and L of the LiDAR's y axis, the mirrored rig has
     ``T' = M · T · L``, again a rigid transform, and sees the mirrored scene exactly as the true
     rig sees the true one. It doubles the scenes and the rigs.
-
-    Args:
-        batch: B samples.
-        which: (B,) bool, which samples to mirror.
-
-    Returns:
-        The batch, mirrored where asked.
     """
     width = batch.camera.shape[-1]
     camera = torch.where(which[:, None, None, None], batch.camera.flip(-1), batch.camera)

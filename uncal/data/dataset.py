@@ -182,12 +182,7 @@ class FrameDataset(Dataset[Item]):
             return SkippedFrame(frame_id, str(error))
 
     def sample(self, frame: Frame, unit_index: int, decalibration: Tensor | None) -> Sample:
-        """A frame at the network's size and culled.
-
-        Args:
-            frame: as a recording loads it.
-            unit_index: number of its unit in the split.
-            decalibration: (6,) fixed draw, or None.
+        """A frame at the network's size and culled, with its unit and (6,) fixed decalibration.
 
         Raises:
             FrameError: the frame's image cannot be brought to the network's size.
@@ -251,12 +246,7 @@ class FrameDataset(Dataset[Item]):
         return drawn.clamp(-_LARGEST, _LARGEST).half(), K
 
     def fit(self, source: tuple[int, int], K: NDArray[np.float64]) -> Fit:
-        """How a sensor's image comes to the network's size.
-
-        Args:
-            source: (h, w) of the sensor's image, pixels.
-            K: (3, 3) its camera matrix, pixels.
-        """
+        """How a sensor's image of (h, w) with the camera matrix K comes to the network's size."""
         if self.focal_px is None:
             return fit(source, self.image_size)
         return fit_focal(source, float(K[0, 0]), self.focal_px, self.image_size)
@@ -266,9 +256,6 @@ def collate(items: Sequence[Item]) -> Batch:
     """Stack the readable samples; a batch of none has B = 0.
 
     A window of which a frame cannot be read goes on with the others.
-
-    Returns:
-        The batch, with the unreadable frames in ``skipped``.
     """
     frames = [frame for item in items for frame in item]
     skipped = [frame for frame in frames if isinstance(frame, SkippedFrame)]

@@ -38,14 +38,7 @@ class Fit:
         )
 
     def camera_matrix(self, K: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The camera matrix of the result.
-
-        Args:
-            K: (3, 3) that of the sensor's image, pixels.
-
-        Returns:
-            (3, 3), a new array.
-        """
+        """(3, 3) camera matrix of the result, from that of the sensor's image, pixels."""
         to = self.pixel_map
         K = K.copy()
         K[0] *= to.sx
@@ -56,14 +49,7 @@ class Fit:
 
 
 def fit(source: tuple[int, int], size: tuple[int, int]) -> Fit:
-    """Scale, aspect kept, until ``size`` is covered; crop the rest evenly on both sides.
-
-    Args:
-        source: (h, w) of the sensor's image, pixels.
-        size: (H, W) wanted, pixels.
-
-    Returns:
-        How; whole pixels throughout.
+    """Scale (h, w), aspect kept, until (H, W) is covered; crop the rest evenly on both sides.
 
     Raises:
         ConfigurationError: ``size`` is not positive.

@@ -49,18 +49,11 @@ class DecalibrationRange(SettingsGroup):
         return torch.tensor([self.translation] * 3 + [self.rotation] * 3)
 
     def draw(self, n: int, device: torch.device | str = "cpu") -> Tensor:
-        """Draw from torch's global generator, as training does.
-
-        Returns:
-            (n, 6) decalibrations, metres and radians.
-        """
+        """(n, 6) in metres and radians from torch's global generator, as training does."""
         return (2.0 * torch.rand(n, 6, device=device) - 1.0) * self.bounds.to(device)
 
     def draw_for(self, seed: int, frame: str) -> Tensor:
-        """The decalibration of one frame: a pure function of its arguments, on any machine.
-
-        Returns:
-            (6,) float32 decalibration, metres and radians.
+        """(6,) float32 of one frame: a pure function of its arguments, on any machine.
 
         >>> r = DecalibrationRange(rotation_deg=1.0, translation_cm=10.0)
         >>> bool((r.draw_for(0, "a") == r.draw_for(0, "a")).all())

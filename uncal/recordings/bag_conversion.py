@@ -23,10 +23,7 @@ _KNOWN = 1e-6
 
 
 def read_extrinsic(path: str | Path) -> NDArray[np.float64]:
-    """``T_cam_lidar`` of a YAML file.
-
-    Args:
-        path: of the file; 4×4, or in any form of ``extrinsics`` in ``rig.yaml``.
+    """``T_cam_lidar`` of a YAML file: 4×4, or any form of ``extrinsics`` in ``rig.yaml``.
 
     Raises:
         RecordingError: it cannot be read, or what it holds is no transform.
@@ -51,7 +48,7 @@ def write_folder(
     every: int = 1,
     progress: bool = True,
 ) -> Path:
-    """Write one drive, and ``rig.yaml`` if it is the first.
+    """Write one drive, and ``rig.yaml`` if it is the first; returns the drive's folder.
 
     Args:
         stream: of the bag.
@@ -62,9 +59,6 @@ def write_folder(
         T_cam_lidar: (4, 4) extrinsic, metres.
         every: keep every n-th pair.
         progress: show it.
-
-    Returns:
-        The drive's folder.
 
     Raises:
         ConfigurationError: there is no extrinsic, the drive exists, ``drive`` is no name of a

@@ -43,11 +43,7 @@ class CameraCalibration:
 
 
 def read_calibration_text(path: Path, source: str) -> str:
-    """The text of a calibration file.
-
-    Args:
-        path: the file.
-        source: where to get it, for the message: a sentence.
+    """The text of a calibration file; ``source`` is a sentence that says where to get it.
 
     Raises:
         CalibrationMissing: it is missing or cannot be read.
@@ -75,13 +71,7 @@ def read_calibration_yaml(path: Path, source: str) -> object:
 def numbers_at(
     content: object, keys: str, shape: tuple[int, ...], path: Path
 ) -> NDArray[np.float64]:
-    """Finite numbers at a dotted key of nested mappings.
-
-    Args:
-        content: of the file.
-        keys: such as ``extrinsics.T_10``.
-        shape: expected.
-        path: of the file, for messages.
+    """Finite numbers at a dotted key of nested mappings, such as ``extrinsics.T_10``.
 
     Raises:
         RecordingError: a key is missing, or there is something else.

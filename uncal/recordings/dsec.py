@@ -111,13 +111,7 @@ class Dsec:
             raise kinds.pop()(self._nothing_found(root, len(chosen)))
 
     def load(self, frame_id: FrameId) -> Frame:
-        """Read one frame.
-
-        Args:
-            frame_id: one of :attr:`frame_ids`.
-
-        Returns:
-            The frame; non-finite points are dropped and counted. ``time`` is UNIX time.
+        """Read one of :attr:`frame_ids`; non-finite points are dropped and counted; UNIX time.
 
         Raises:
             FrameError: the scan or the events cannot be read, or there are too few events.

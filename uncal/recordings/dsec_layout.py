@@ -65,13 +65,7 @@ class SequenceFolder:
 
 
 def find_sequences(root: Path) -> dict[str, SequenceFolder]:
-    """The sequences under a folder.
-
-    Args:
-        root: folder of the data set.
-
-    Returns:
-        Name → folder, sorted by name.
+    """The sequences under the folder of a data set: name → folder, sorted by name.
 
     Raises:
         RecordingError: there is no such folder, or no sequence in it.

@@ -55,10 +55,7 @@ _LETTER = re.compile(r"(.+)_[a-z]")
 
 
 def drive_of(sequence: str) -> str:
-    """The drive that a sequence is a part of.
-
-    Returns:
-        The name without its letter.
+    """The drive that a sequence is a part of: its name without the letter.
 
     >>> drive_of("zurich_city_04_a")
     'zurich_city_04'

@@ -49,13 +49,7 @@ def layout_of(root: Path, setting: str) -> str:
 
 
 def list_numbered(folder: Path, digits: int, suffix: str) -> dict[int, str]:
-    """The files ``0000000007.png`` of a folder, number → name; a missing folder holds none.
-
-    Args:
-        folder: the folder.
-        digits: length of the number in the file names; other names are ignored.
-        suffix: of the file names, with its dot.
-    """
+    """The files ``0000000007.png`` of a folder, number → name; a missing folder holds none."""
     try:
         with os.scandir(folder) as entries:
             names = [entry.name for entry in entries]

@@ -142,9 +142,6 @@ class LidarBag:
     def spin(self, position: int) -> Spin | None:
         """When a scan was measured, after its stamp; None where its points do not say.
 
-        Args:
-            position: in :attr:`index`.
-
         Raises:
             FrameError: the scan cannot be read.
         """
@@ -187,12 +184,6 @@ def index_scans(path: Path) -> LidarIndex:
     """Read a bag from end to end and note its scans.
 
     Damage in the middle ends the reading; the scans before it are kept, the others counted.
-
-    Args:
-        path: the ``.bag`` file.
-
-    Returns:
-        The index.
 
     Raises:
         RecordingError: the bag is truncated, has no scans, or none that can be read.

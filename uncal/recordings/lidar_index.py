@@ -66,15 +66,7 @@ class LidarIndex:
     def from_scans(
         cls, scans: NDArray[np.int64], n_damaged: int = 0, damage: str = ""
     ) -> LidarIndex:
-        """Sort scans by their stamps and leave out repeated ones.
-
-        Args:
-            scans: (n, 4) record time, stamp, end of the sweep (nanoseconds), points.
-            n_damaged: as in the class.
-            damage: as in the class.
-
-        Returns:
-            The index.
+        """Sort (n, 4) scans (record time, stamp, end, points) by stamp; repeated ones are left out.
 
         >>> index = LidarIndex.from_scans(np.array([[5, 2, 3, 9], [4, 1, 2, 9], [6, 2, 3, 9]]))
         >>> index.stamp_ns.tolist(), index.message_ns.tolist(), index.n_duplicates
@@ -91,13 +83,6 @@ def cached_index(bag: Path, build: Callable[[Path], LidarIndex]) -> LidarIndex:
     """The index of a bag: the one kept beside it if it is of this very file, else a new one.
 
     A new one is kept for the next time where the folder can be written to.
-
-    Args:
-        bag: the bag.
-        build: reads the bag; what it raises passes through.
-
-    Returns:
-        The index.
     """
     cache = bag.with_name(CACHE_NAME)
     status = bag.stat()

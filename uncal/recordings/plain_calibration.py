@@ -60,11 +60,7 @@ class Lens:
         return np.asarray(new, dtype=np.float64)
 
     def undistort(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """The image as a lens without distortion would show it.
-
-        Args:
-            image: (H, W, 3) as recorded.
-        """
+        """An (H, W, 3) image as a lens without distortion would show it."""
         if self.model == "none":
             return image
         column, row = self._maps
@@ -162,11 +158,6 @@ def _lens(value: object, path: Path, where: str) -> Lens:
 
 def parse_transform(value: object, path: Path, where: str) -> NDArray[np.float64]:
     """(4, 4) in metres from a 4×4 matrix, or from a translation and one of several rotations.
-
-    Args:
-        value: as YAML has it.
-        path: of the file, for messages.
-        where: the key, likewise.
 
     Raises:
         RecordingError: it is neither.

@@ -84,10 +84,7 @@ def has_intensity(message: PointCloud2) -> bool:
 
 
 def brightest_of(message: PointCloud2) -> float:
-    """The intensity that stands for a reflectance of 1, judged by one message of a recording.
-
-    Returns:
-        :data:`BYTE`; :data:`WORD` where a value is beyond it.
+    """:data:`BYTE` or :data:`WORD`: which intensity is a reflectance of 1, by one message.
 
     Raises:
         ValueError: the message is shorter than it says.

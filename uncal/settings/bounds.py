@@ -143,10 +143,7 @@ SIZES = number(0, 8192, whole=True)
 
 
 def bounds_of(key: str) -> Rule | None:
-    """The rule of a key.
-
-    Args:
-        key: dotted.
+    """The rule of a dotted key; None where it has none of its own.
 
     >>> bounds_of("mcd.passes").holds(1.5), bounds_of("model.name")
     (False, None)

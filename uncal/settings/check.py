@@ -54,10 +54,6 @@ def check_settings(config: DictConfig) -> None:
 def refuse_values(config: DictConfig, shipped: DictConfig | None) -> None:
     """Refuse values out of their bounds, or of another kind than those that ship.
 
-    Args:
-        config: what a user asked for.
-        shipped: the shipped configuration with the same choices.
-
     Raises:
         ConfigurationError: names key, value and what was expected, a line for each.
     """
@@ -77,10 +73,6 @@ def refuse_removed(words: Sequence[str], shipped: DictConfig) -> None:
     """Refuse ``~key`` of a key that the run reads.
 
     What a class takes may have a default of its own; callbacks and the logger may go.
-
-    Args:
-        words: overrides of the command line.
-        shipped: the shipped configuration with the same choices.
 
     Raises:
         ConfigurationError: names them.

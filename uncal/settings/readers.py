@@ -83,10 +83,6 @@ ALL = frozenset({"**"})
 def parameters(target: str, key: str) -> frozenset[str]:
     """Keywords that a class or function takes; :data:`ALL` where it takes any.
 
-    Args:
-        target: its dotted name.
-        key: that names it, for the message.
-
     Raises:
         ConfigurationError: there is no such thing.
     """
@@ -99,10 +95,6 @@ def parameters(target: str, key: str) -> frozenset[str]:
 
 def signature_of(target: str, key: str) -> inspect.Signature | None:
     """Signature of a class or function; None where Python knows none.
-
-    Args:
-        target: its dotted name.
-        key: that names it, for the message.
 
     Raises:
         ConfigurationError: there is no such thing.

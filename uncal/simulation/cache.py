@@ -26,15 +26,6 @@ def ensure_simulated(
     A finished simulation of the same fingerprint is reused after a look at its file counts; an
     interrupted one is resumed; one of other settings or another simulator version is replaced.
 
-    Args:
-        settings: what must be there.
-        root: folder of the simulation.
-        workers: processes; None: one per available core.
-        progress: whether to show a progress bar.
-
-    Returns:
-        ``root``.
-
     Raises:
         RecordingError: ``root`` holds something that this simulator did not write; it is left
             untouched.

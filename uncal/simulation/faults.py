@@ -45,11 +45,7 @@ class Fault(ABC):
 
     @abstractmethod
     def __call__(self, frames: Iterable[Frame]) -> Iterator[Frame]:
-        """The stream with the fault in it, as many frames with the same names and times.
-
-        Args:
-            frames: of one drive, in order.
-        """
+        """The stream with the fault in it, as many frames with the same names and times."""
 
     def hits(self, number: int) -> bool:
         """Whether a frame of the stream is faulty."""

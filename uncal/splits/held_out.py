@@ -14,14 +14,7 @@ from uncal.splits.splits import by_name, seeded_hash
 def hold_out_drives(
     frame_ids: Sequence[FrameId], patterns: Sequence[str]
 ) -> tuple[list[FrameId], list[FrameId]]:
-    """Drives chosen by name, and the others.
-
-    Args:
-        frame_ids: all frames.
-        patterns: names or shell patterns of drives.
-
-    Returns:
-        The frames of the chosen drives, by name, and the others in their order.
+    """Frames of the drives chosen by names or shell patterns, sorted; and the others.
 
     Raises:
         ConfigurationError: a pattern matches no drive, or no other drive remains.

@@ -43,14 +43,6 @@ def split_officially(
 ) -> FrameSplit:
     """Test on DSEC's official test sequences; see :func:`paper_split`.
 
-    Args:
-        frame_ids: all frames; their drives are DSEC's sequences.
-        settings: the fractions.
-        seed: another seed, other frames; and other drives held out.
-
-    Returns:
-        The split and what was done.
-
     Raises:
         ConfigurationError: the drives are not DSEC's, a fraction is out of range, or there is
             nothing to train or to test on.

@@ -52,10 +52,7 @@ store=…, dataset.root=…); finished files are as they were, and the same comm
 
 
 def check_writable(path: Path) -> None:
-    """Find out before the work, and not after it, whether a file can be written; makes its folder.
-
-    Args:
-        path: of the file; one that is there is left as it is.
+    """Find out before the work whether a file can be written; makes its folder, changes no file.
 
     Raises:
         OSError: it cannot be.

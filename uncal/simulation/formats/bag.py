@@ -138,16 +138,7 @@ def write_bag(
 
 
 def drive_as_bag(root: Path, drive: str, out: Path) -> Path:
-    """Write a drive of a KITTI raw folder as an MCAP file.
-
-    Args:
-        root: of the recordings.
-        drive: name or pattern.
-        out: folder of the ROS 2 bag, which must not be there.
-
-    Returns:
-        The folder.
-    """
+    """Write a drive (name or pattern) of a KITTI raw folder as an MCAP file in a new folder."""
     recording = KittiRaw(root, drives=[drive])
     frames = [recording.load(frame_id) for frame_id in recording.frame_ids]
     # ROS 2 counts seconds in 32 bits, which the simulation's dates, in 2041, do not fit into.
@@ -164,11 +155,7 @@ def drive_as_bag(root: Path, drive: str, out: Path) -> Path:
 
 @exits_on_error
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Write a drive as a bag.
-
-    Args:
-        arguments: of the command line; None: the process's own.
-    """
+    """Write a drive as a bag; ``arguments`` are those of the command line."""
     parser = argparse.ArgumentParser(
         prog="python -m uncal.simulation.formats.bag",
         description="Writes a drive of a KITTI raw folder, simulated or real, as a ROS 2 bag.",

@@ -60,12 +60,7 @@ def texture_library(seed: int) -> TextureLibrary:
 
 
 def build_scene(settings: SimulationSettings, piece: Piece) -> tuple[Street, Scene]:
-    """Build the whole drive's street, then keep what can be seen from the piece's frames.
-
-    Args:
-        settings: the simulation's settings.
-        piece: which drive, and which of its frames.
-    """
+    """Build the whole drive's street, then keep what can be seen from the piece's frames."""
     limits = settings.scene
     rng = generator(settings.seed, Stream.STREET, piece.rig, piece.drive)
     behind = BEHIND_M if settings.lidar.azimuth_fov_deg <= 180 else settings.lidar.range_max_m
@@ -83,15 +78,7 @@ def build_scene(settings: SimulationSettings, piece: Piece) -> tuple[Street, Sce
 
 
 def write_frames(settings: SimulationSettings, piece: Piece, folder: Path) -> int:
-    """Simulate the frames of a piece into a drive folder.
-
-    Args:
-        settings: the simulation's settings.
-        piece: which frames.
-        folder: the drive folder; ``image_02/data`` and ``velodyne_points/data`` must exist.
-
-    Returns:
-        Bytes written.
+    """Simulate the frames of a piece into a drive folder; returns the bytes written.
 
     Raises:
         RecordingError: a file could not be written.

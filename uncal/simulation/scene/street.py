@@ -186,16 +186,7 @@ def _wall(
     height: float,
     surface: Surfaces,
 ) -> None:
-    """Add vertical faces from the road up to ``height``.
-
-    Args:
-        mesh: receives the faces.
-        street: the street.
-        ends: (n, 2) s of the faces' left and right ends as seen from outside.
-        y: lateral positions of the left and the right end.
-        height: metres.
-        surface: of all faces.
-    """
+    """Add vertical faces up to ``height``; (n, 2) ``ends``: s left and right, seen from outside."""
     s = ends[:, [0, 1, 1, 0]]
     across = np.broadcast_to(np.array(y)[[0, 1, 1, 0]], s.shape)
     up = np.broadcast_to(np.array([0.0, 0.0, height, height]), s.shape)

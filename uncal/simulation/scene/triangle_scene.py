@@ -109,16 +109,9 @@ class Scene:
 
 
 def _slopes(edges: Points, change: Points) -> Points:
-    """Gradients, in the triangle's plane, of quantities known at its corners.
+    """(T, Q, 3) gradients in the triangle's plane of Q quantities known at its corners.
 
     g = a·e1 + b·e2 with g·e1 and g·e2 equal to the quantity's change along the two edges.
-
-    Args:
-        edges: (T, 2, 3) edges from the first corner.
-        change: (T, 2, Q) change of each quantity along them.
-
-    Returns:
-        (T, Q, 3) gradients.
     """
     gram = edges @ edges.transpose(0, 2, 1)
     a, b, c = gram[:, 0, 0, None], gram[:, 0, 1, None], gram[:, 1, 1, None]

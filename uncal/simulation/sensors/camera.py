@@ -30,12 +30,7 @@ class Camera:
     """
 
     def __init__(self, settings: CameraSettings, K: NDArray[np.float64]) -> None:
-        """Prepare the rays.
-
-        Args:
-            settings: size, supersampling and sensor.
-            K: (3, 3) camera matrix, pixels.
-        """
+        """Prepare the rays."""
         self.settings = settings
         n = settings.supersampling
         step = (np.arange(n) + 0.5) / n - 0.5
@@ -54,16 +49,7 @@ class Camera:
     def photograph(
         self, scene: Scene, T_world_cam: Matrix, rng: np.random.Generator
     ) -> NDArray[np.uint8]:
-        """Take a picture.
-
-        Args:
-            scene: the street.
-            T_world_cam: (4, 4) pose of the camera.
-            rng: draws the sensor noise.
-
-        Returns:
-            (H, W, 3) uint8 RGB.
-        """
+        """An (H, W, 3) uint8 RGB picture from a (4, 4) pose; ``rng`` draws light and noise."""
         return self._develop(self._expose(scene, T_world_cam), rng)
 
     def _expose(self, scene: Scene, T_world_cam: Matrix) -> Array:

@@ -50,14 +50,7 @@ class EventOptics:
     T_lidar_camRect1: Matrix
 
     def rectify(self, u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Rectified x and y of positions on the sensor.
-
-        Args:
-            u: (...) column, pixels; integers are pixel centres.
-            v: (...) row, pixels.
-
-        Returns:
-            (..., 2) pixels of the rectified image.
+        """(..., 2) rectified pixels of (...) columns and rows of the sensor; integers are centres.
 
         Raises:
             ConfigurationError: the lens bends rays so much that positions have none of their own.

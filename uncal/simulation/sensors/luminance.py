@@ -43,11 +43,7 @@ class LuminanceMeter:
         self._shadows = settings.shadows and bool(sky.sun.any())
 
     def measure(self, T_world_cam: Matrix) -> NDArray[np.float32]:
-        """Mean luminance of each pixel, (H, W) float32 linear.
-
-        Args:
-            T_world_cam: (4, 4) pose of the camera.
-        """
+        """Mean luminance of each pixel at a (4, 4) camera pose, (H, W) float32 linear."""
         n = self._settings.supersampling
         position = T_world_cam[:3, 3]
         directions = self._rays @ T_world_cam[:3, :3].T.astype(np.float32)
