@@ -36,6 +36,12 @@ class Meeting:
     v: Array
     texel_density: Array
 
+    def footprint(self, sample_width: np.float32) -> Array:
+        """(N,) width of what one ray stands for, metres, of samples so wide at distance 1."""
+        width = self.t * sample_width
+        width /= np.sqrt(np.maximum(self.slant, np.float32(0.02)))
+        return np.asarray(width, np.float32)
+
 
 class View:
     """A scene seen from one point."""

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from uncal.simulation.rigid import Matrix
 from uncal.simulation.scene.meshes import Array
 from uncal.simulation.scene.triangle_scene import Numbers, Scene
 
@@ -18,6 +19,28 @@ OUTSIDE = -2
 """Triangle number around the grid; equal to none, so samples at the border get their own ray."""
 
 Block = tuple[slice, slice]
+
+
+def samples(
+    scene: Scene, T_world_cam: Matrix, rays: Array, n: int
+) -> Iterator[tuple[Numbers, Array]]:
+    """One of n × n samples of every pixel after the other.
+
+    Args:
+        scene: the street.
+        T_world_cam: (4, 4) pose of the camera.
+        rays: (H·n, W·n, 3) float32 in the camera frame.
+        n: supersampling.
+
+    Yields:
+        (H·W,) triangles that the samples lie on, and (3, H·W) directions to them in the world.
+    """
+    directions = rays @ T_world_cam[:3, :3].T.astype(np.float32)
+    triangle = visible(scene, T_world_cam[:3, 3].astype(np.float32), directions)
+    for row in range(n):
+        for column in range(n):
+            each = (slice(row, None, n), slice(column, None, n))
+            yield triangle[each].ravel(), directions[each].transpose(2, 0, 1).reshape(3, -1)
 
 
 def visible(scene: Scene, position: Array, directions: Array) -> Numbers:
