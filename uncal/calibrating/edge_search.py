@@ -91,21 +91,13 @@ class EdgeField:
 
 def search_wide(
     field: EdgeField,
-    T_guess: Matrix,
-    bounds: Matrix,
-    settings: SearchSettings,
-    starts: int,
-    blur_deg: Sequence[float] = WIDE_BLUR_DEG,
+    T_guess: Matrix,  # (4, 4) LiDAR to camera
+    bounds: Matrix,  # (6,) how far the guess may be off, metres and radians
+    settings: SearchSettings,  # of each search
+    starts: int,  # searches with other quasi-random poses
+    blur_deg: Sequence[float] = WIDE_BLUR_DEG,  # coarse to fine
 ) -> Matrix:
     """The best of several searches over the whole range.
-
-    Args:
-        field: the frames.
-        T_guess: (4, 4) LiDAR to camera.
-        bounds: (6,) how far the guess may be off, metres and radians.
-        settings: of each search.
-        starts: searches with other quasi-random poses.
-        blur_deg: coarse to fine.
 
     Returns:
         (4, 4).

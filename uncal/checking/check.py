@@ -30,15 +30,10 @@ RUN = 4
 
 
 class Checked(NamedTuple):
-    """What is known of a folder.
-
-    Attributes:
-        layout: its name.
-        reports: of its drives, in order.
-    """
+    """What is known of a folder."""
 
     layout: str
-    reports: list[DriveReport]
+    reports: list[DriveReport]  # of its drives, in order
 
     @property
     def findings(self) -> list[Finding]:

@@ -15,28 +15,37 @@ from uncal.recordings.folder_recording import FolderRecording
 from uncal.recordings.frame import Recording
 from uncal.recordings.sensor_files import image_size
 
-_PNG_END = b"IEND\xaeB`\x82"
-_JPEG_END = b"\xff\xd9"
 _SHORT = 0.5
 """A scan of less than this share of the usual size is cut off or half of a revolution."""
 
 
+_ERRORS: dict[type[RecordingError], tuple[str, str, str]] = {
+    CalibrationMissing: (
+        "calibration",
+        "the calibration beside the recordings",
+        "put the calibration files there, or correct their names",
+    ),
+    RotationError: (
+        "rotation",
+        "R·Rᵀ = I with determinant 1",
+        "write the matrix with all its digits, row by row; do not scale it",
+    ),
+    NothingPaired: (
+        "scans",
+        "frames with an image (or events) and a scan each",
+        "unpack the missing archive, or remove the drive",
+    ),
+}
+"""What a reader raises → kind of fault, what was expected, the remedy."""
+
+
 def of_error(drive: str, error: RecordingError) -> Finding:
-    """A drive that could not be opened."""
-    kinds = {
-        CalibrationMissing: ("calibration", "the calibration beside the recordings"),
-        RotationError: ("rotation", "R·Rᵀ = I with determinant 1"),
-        NothingPaired: ("scans", "frames with an image (or events) and a scan each"),
-    }
-    kind, expected = kinds.get(type(error), ("truncated", "files that can be read"))
+    """A drive that could not be opened, because of what the reader said."""
+    unreadable = ("truncated", "files that can be read", "copy the files again")
+    kind, expected, remedy = _ERRORS.get(type(error), unreadable)
     if "UTC; the scans are from" in str(error):
         kind, expected = "clock", "scans from the time of the events"
-    remedy = {
-        "calibration": "put the calibration files there, or correct their names",
-        "rotation": "write the matrix with all its digits, row by row; do not scale it",
-        "scans": "unpack the missing archive, or remove the drive",
-        "clock": "put both sensors on one clock (t_offset, UTC)",
-    }.get(kind, "copy the files again")
+        remedy = "put both sensors on one clock (t_offset, UTC)"
     seen = " ".join(line.strip() for line in str(error).splitlines()[:2])
     return Finding(kind, drive, seen, expected, remedy)
 
@@ -121,16 +130,12 @@ def _ends_well(path: Path) -> bool:
     try:
         with path.open("rb") as file:
             head = file.read(4)
-            file.seek(0, 2)
-            file.seek(max(0, file.tell() - 64))
+            file.seek(max(0, path.stat().st_size - 64))
             tail = file.read()
     except OSError:
         return False
-    if head.startswith(b"\x89PNG"):
-        return _PNG_END in tail
-    if head.startswith(b"\xff\xd8"):
-        return _JPEG_END in tail
-    return bool(head)
+    ends = {b"\x89PNG": b"IEND\xaeB`\x82", b"\xff\xd8": b"\xff\xd9"}
+    return bool(head) and all(end in tail for start, end in ends.items() if head.startswith(start))
 
 
 def _cut_scans(scans: Sequence[Path]) -> list[Path]:

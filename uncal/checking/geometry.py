@@ -42,15 +42,10 @@ _USUAL = (
 
 
 class Judgement(NamedTuple):
-    """What the edges say of a drive.
+    """What the edges say of a drive."""
 
-    Attributes:
-        support: height of the declared extrinsic's peak; NaN where too few edges are seen.
-        repair: the repair that fits; None where nothing needs one, or none fits.
-    """
-
-    support: float
-    repair: Hypothesis | None
+    support: float  # height of the declared extrinsic's peak; NaN where too few edges are seen
+    repair: Hypothesis | None  # the repair that fits; None where nothing needs one, or none fits
 
 
 def judge(views: Sequence[View]) -> Judgement:

@@ -94,21 +94,13 @@ def fit_focal(source: tuple[int, int], focal: float, wanted: float, size: tuple[
     return Fit(source, resized, (resized[0] - size[0]) // 2, (resized[1] - size[1]) // 2)
 
 
-def size_at_focal(
-    source: tuple[int, int], focal: float, wanted: float, multiple: int = 8
-) -> tuple[int, int]:
-    """Largest (H, W), in multiples of some pixels, that an image covers at a focal length.
-
-    Args:
-        source: (h, w) of the sensor's image, pixels.
-        focal: of that image, pixels.
-        wanted: focal length wanted, pixels.
-        multiple: what both sides are multiples of.
+def size_at_focal(source: tuple[int, int], focal: float, wanted: float) -> tuple[int, int]:
+    """Largest (H, W), in multiples of 8, that an image of (h, w) covers at another focal length.
 
     >>> size_at_focal((375, 1242), 721.5, 460.0)
     (232, 792)
     """
-    height, width = (round(side * wanted / focal) // multiple * multiple for side in source)
+    height, width = (round(side * wanted / focal) // 8 * 8 for side in source)
     return height, width
 
 

@@ -15,13 +15,9 @@ GroupT = TypeVar("GroupT", bound="SettingsGroup")
 
 @dataclass(frozen=True)
 class SettingsGroup:
-    """Base of frozen dataclasses; a field ``Annotated[float, number(0, 1)]`` is checked.
+    """Base of frozen dataclasses; a field ``Annotated[float, number(0, 1)]`` is checked."""
 
-    Attributes:
-        key: dotted name of the group in the configuration, for messages.
-    """
-
-    key: ClassVar[str]
+    key: ClassVar[str]  # dotted name of the group in the configuration, for messages
 
     def __post_init__(self) -> None:
         """Check every field that has a rule.

@@ -15,15 +15,10 @@ LARGEST = 1e9
 
 @dataclass(frozen=True)
 class Rule:
-    """What a setting may be.
+    """What a setting may be."""
 
-    Attributes:
-        expected: for messages, after "expected".
-        holds: whether a value is that.
-    """
-
-    expected: str
-    holds: Callable[[object], bool]
+    expected: str  # for messages, after "expected"
+    holds: Callable[[object], bool]  # whether a value is that
 
 
 def require(key: str, value: object, rule: Rule) -> None:
@@ -90,21 +85,14 @@ FLAG = Rule("true or false", lambda value: isinstance(value, bool))
 
 
 def listed(
-    each: Rule,
-    length: int | None = None,
+    each: Rule,  # what every entry must be
+    length: int | None = None,  # how many entries; None: one or more
     *,
-    rising: bool = False,
-    distinct: bool = False,
-    total: float | None = None,
+    rising: bool = False,  # whether every entry must be larger than the one before
+    distinct: bool = False,  # whether no entry may come twice
+    total: float | None = None,  # what they add up to; None: anything
 ) -> Rule:
     """A list.
-
-    Args:
-        each: what every entry must be.
-        length: how many entries; None: one or more.
-        rising: whether every entry must be larger than the one before.
-        distinct: whether no entry may come twice.
-        total: what they add up to; None: anything.
 
     >>> listed(number(0, 1), 2, rising=True).holds([0.9, 0.1])
     False
