@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from copy import copy
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -95,7 +96,6 @@ def search_wide(
     bounds: Matrix,  # (6,) how far the guess may be off, metres and radians
     settings: SearchSettings,  # of each search
     starts: int,  # searches with other quasi-random poses
-    blur_deg: Sequence[float] = WIDE_BLUR_DEG,  # coarse to fine
 ) -> Matrix:
     """The best of several searches over the whole range.
 
@@ -103,7 +103,7 @@ def search_wide(
         (4, 4).
     """
     guess, scale = torch.from_numpy(T_guess).float(), torch.from_numpy(bounds).float()
-    fields = [field.strength(blur) for blur in blur_deg]
+    fields = [field.strength(blur) for blur in WIDE_BLUR_DEG]
 
     def likelihood(strength: Tensor) -> LogLikelihood:
         return lambda pose: field.total(strength, correct(guess, pose[0] * scale))[None]
@@ -112,12 +112,7 @@ def search_wide(
     found = []
     with torch.no_grad():
         for start in range(starts):
-            other = SearchSettings(
-                samples=settings.samples,
-                effective=settings.effective,
-                widening=settings.widening,
-                seed=settings.seed + 1000 * start,
-            )
+            other = replace(settings, seed=settings.seed + 1000 * start)
             found.append(correct(guess, search(rounds, 1, other).pose[0] * scale))
         best = field.total(fields[-1], torch.stack(found)).argmax()
     return found[int(best)].double().numpy()

@@ -86,29 +86,18 @@ def parameters(target: str, key: str) -> frozenset[str]:
     Raises:
         ConfigurationError: there is no such thing.
     """
-    signature = signature_of(target, key)
-    if signature is None:
-        return ALL
-    kinds = [parameter.kind for parameter in signature.parameters.values()]
-    return ALL if inspect.Parameter.VAR_KEYWORD in kinds else frozenset(signature.parameters)
-
-
-def signature_of(target: str, key: str) -> inspect.Signature | None:
-    """Signature of a class or function; None where Python knows none.
-
-    Raises:
-        ConfigurationError: there is no such thing.
-    """
     try:
-        return inspect.signature(get_object(target))
+        signature = inspect.signature(get_object(target))
     except (TypeError, ValueError):  # built in
-        return None
+        return ALL
     except Exception as error:
         reason = str(error).strip().splitlines()
         raise ConfigurationError(
             f"{key}={target}: cannot be imported ({reason[-1] if reason else error!r}); expected "
             "the dotted name of a class, such as package.module.Class"
         ) from error
+    kinds = [parameter.kind for parameter in signature.parameters.values()]
+    return ALL if inspect.Parameter.VAR_KEYWORD in kinds else frozenset(signature.parameters)
 
 
 def _referred(node: object) -> Iterator[str]:

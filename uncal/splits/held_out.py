@@ -27,7 +27,7 @@ def hold_out_drives(
     drives = sorted({frame_id.drive for frame_id in frame_ids})
     chosen = set(choose({name: [name] for name in drives}, patterns, "split.test_drives"))
     others = [frame_id for frame_id in frame_ids if frame_id.drive not in chosen]
-    if not others or not chosen:
+    if not others:
         raise ConfigurationError(
             f"split.test_drives={list(patterns)} names {len(chosen)} of {len(drives)} drive(s): "
             "expected at least one, and others to calibrate on"

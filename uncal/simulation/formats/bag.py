@@ -117,23 +117,15 @@ def write_bag(
         tf = types["tf2_msgs/msg/TFMessage"](steps)
         messages.append((images[0][0], "/tf_static", "tf2_msgs/msg/TFMessage", tf))
     messages.sort(key=lambda message: message[0])
-    if ros1:
-        with Writer1(path) as writer:
-            connections = {}
-            for seconds, topic, name, message in messages:
-                if topic not in connections:
-                    connections[topic] = writer.add_connection(topic, name, typestore=store)
-                raw = store.serialize_ros1(message, name)
-                writer.write(connections[topic], round(seconds * 1e9), raw)
-        return path
     plugin = StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3
-    with Writer2(path, version=9, storage_plugin=plugin) as writer2:
-        known = {}
+    writer: Any = Writer1(path) if ros1 else Writer2(path, version=9, storage_plugin=plugin)
+    serialize: Any = store.serialize_ros1 if ros1 else store.serialize_cdr
+    with writer:
+        connections: dict[str, Any] = {}
         for seconds, topic, name, message in messages:
-            if topic not in known:
-                known[topic] = writer2.add_connection(topic, name, typestore=store)
-            raw = store.serialize_cdr(message, name)
-            writer2.write(known[topic], round(seconds * 1e9), raw)
+            if topic not in connections:
+                connections[topic] = writer.add_connection(topic, name, typestore=store)
+            writer.write(connections[topic], round(seconds * 1e9), serialize(message, name))
     return path
 
 
