@@ -44,17 +44,7 @@ class Checked(NamedTuple):
 def check(
     root: Path, camera: str | None, n_frames: int, overlays: Path | None, quiet: bool = False
 ) -> Checked:
-    """Check every drive of a folder.
-
-    Args:
-        root: of the recordings, in any of the layouts.
-        camera: which one; None: the first that was recorded.
-        n_frames: frames of each drive whose edges are compared.
-        overlays: folder for one picture per drive; None: none.
-        quiet: show no progress.
-
-    Returns:
-        The reports.
+    """Check every drive of a folder, by the edges of ``n_frames`` frames; one picture per drive.
 
     Raises:
         RecordingError: the folder has none of the layouts.

@@ -85,13 +85,7 @@ def of_files(drive: str, recording: Recording) -> list[Finding]:
 
 
 def of_stamps(drive: str, stamps: Stamps, by_number: bool) -> list[Finding]:
-    """Clocks that run backwards or apart.
-
-    Args:
-        drive: name of the drive.
-        stamps: of its sensors.
-        by_number: images and scans are paired by number, so that their stamps must agree.
-    """
+    """Clocks that run backwards, or apart where images and scans are paired ``by_number``."""
     found = []
     for path, times in stamps.items():
         steps = np.diff(times)

@@ -49,15 +49,7 @@ class Judgement(NamedTuple):
 
 
 def judge(views: Sequence[View]) -> Judgement:
-    """Compare what is declared with its repairs.
-
-    Args:
-        views: frames of one drive.
-
-    Returns:
-        The judgement; a repair is named only where its peak is high and it beats what is declared
-        in nearly all frames.
-    """
+    """Compare what is declared with its repairs; one is named only where it is clearly better."""
     first = views[0]
     declared = Hypothesis("", "", "", first.T)
     support = peak_height(views, declared.T)

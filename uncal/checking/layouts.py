@@ -53,11 +53,7 @@ class Drive:
 
 
 def find_layout(root: Path, camera: str | None) -> tuple[str, list[Drive]]:
-    """Recognise a folder: name of its layout, and its drives.
-
-    Args:
-        root: of the recordings.
-        camera: which one; None: the first that was recorded, colour before grey.
+    """Name of the layout of a folder, and its drives; camera None: the first, colour first.
 
     Raises:
         RecordingError: it is none of the layouts.

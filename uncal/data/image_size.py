@@ -66,16 +66,7 @@ def fit(source: tuple[int, int], size: tuple[int, int]) -> Fit:
 
 
 def fit_focal(source: tuple[int, int], focal: float, wanted: float, size: tuple[int, int]) -> Fit:
-    """Scale to a focal length and crop the middle: what a pixel shows is then as in training.
-
-    Args:
-        source: (h, w) of the sensor's image, pixels.
-        focal: of that image, pixels.
-        wanted: focal length wanted, pixels.
-        size: (H, W) wanted, pixels; at most the scaled image.
-
-    Returns:
-        How; whole pixels throughout.
+    """Scale an image to a focal length, pixels, and crop the middle: a pixel shows what it should.
 
     Raises:
         FrameError: the scaled image is smaller than ``size``.
@@ -110,16 +101,7 @@ def resize_and_crop(
     how: Fit,
     size: tuple[int, int],
 ) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
-    """Bring an image to the network's size.
-
-    Args:
-        image: (h, w, 3) uint8.
-        K: (3, 3) its camera matrix, pixels.
-        how: :func:`fit` or :func:`fit_focal` of the image's size.
-        size: (H, W) wanted, pixels.
-
-    Returns:
-        The (H, W, 3) image and its (3, 3) camera matrix.
+    """Bring an (h, w, 3) uint8 image and its (3, 3) camera matrix to the network's (H, W).
 
     >>> K = np.array([[100.0, 0, 49.5], [0, 100.0, 19.5], [0, 0, 1]])
     >>> how = fit((40, 100), (20, 40))

@@ -153,10 +153,7 @@ def height_width(width_height: NDArray[np.float64]) -> tuple[int, int]:
 
 
 def read_calibration_file(path: Path) -> dict[str, NDArray[np.float64]]:
-    """Read KITTI's ``key: numbers`` lines; values that are not all numbers (dates) are left out.
-
-    Returns:
-        The numbers of each key in the file's order: (3, 3) and (3, 4) where there are 9 and 12.
+    """KITTI's ``key: numbers`` lines; 9 and 12 numbers are (3, 3) and (3, 4), dates left out.
 
     Raises:
         RecordingError: the file is missing or cannot be read.
@@ -178,11 +175,7 @@ def read_calibration_file(path: Path) -> dict[str, NDArray[np.float64]]:
 
 
 def raw_calibration(date_folder: Path, camera: int) -> CameraCalibration:
-    """Calibration of one rectified camera of a KITTI raw date folder.
-
-    Args:
-        date_folder: folder with ``calib_cam_to_cam.txt`` and ``calib_velo_to_cam.txt``.
-        camera: 0..3, the number of the image folder.
+    """Calibration of camera 0..3, rectified, of a KITTI raw date folder with its two files.
 
     Raises:
         RecordingError: a file or a key is missing or damaged.
@@ -199,11 +192,7 @@ def raw_calibration(date_folder: Path, camera: int) -> CameraCalibration:
 
 
 def odometry_calibration(path: Path, camera: int) -> CameraCalibration:
-    """Calibration of one rectified camera of a KITTI odometry sequence.
-
-    Args:
-        path: the sequence's ``calib.txt`` with P0..P3 and Tr (LiDAR → rectified camera 0).
-        camera: 0..3, the number of the image folder.
+    """Calibration of camera 0..3, rectified, by a sequence's ``calib.txt`` (P0..P3 and Tr).
 
     Raises:
         RecordingError: the file or a key is missing or damaged.

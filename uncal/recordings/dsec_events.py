@@ -54,14 +54,7 @@ class EventFile:
     def count_at_most(
         self, start_us: NDArray[np.int64], end_us: NDArray[np.int64]
     ) -> NDArray[np.int64]:
-        """Upper bounds of the number of events in windows, from ``ms_to_idx`` alone.
-
-        Args:
-            start_us: (n,) first microseconds of the windows, without ``t_offset``.
-            end_us: (n,) their ends, exclusive.
-
-        Returns:
-            (n,) events of the whole milliseconds that the windows touch.
+        """(n,) upper bounds of the events in windows, exclusive of their ends, by ``ms_to_idx``.
 
         Raises:
             RecordingError: the file cannot be read.

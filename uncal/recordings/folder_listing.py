@@ -21,11 +21,7 @@ DATE = re.compile(r"\d{4}_\d{2}_\d{2}")
 
 
 def layout_of(root: Path, setting: str) -> str:
-    """Which of :data:`LAYOUTS` a folder of recordings has, by its names alone.
-
-    Args:
-        root: folder of the recordings.
-        setting: name of the setting that gives it, for messages.
+    """Which of :data:`LAYOUTS` a folder has, by names alone; ``setting`` gave it, for messages.
 
     Raises:
         RecordingError: no such folder, or none of the layouts.
@@ -70,12 +66,7 @@ def subfolders(folder: Path) -> list[str]:
 
 
 def existing(root: str | Path, remedy: str) -> Path:
-    """The folder of recordings; :class:`RecordingError` with a remedy where it is not there.
-
-    Args:
-        root: may begin with ``~``.
-        remedy: what to do; ``{root}`` in it stands for the folder.
-    """
+    """The folder of recordings; where it is not, :class:`RecordingError` with a remedy."""
     root = Path(root).expanduser()
     if not root.is_dir():
         raise RecordingError(

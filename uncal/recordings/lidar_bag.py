@@ -101,10 +101,7 @@ class LidarBag:
         return self._brightest
 
     def read(self, position: int) -> tuple[NDArray[np.float32], int]:
-        """One scan.
-
-        Args:
-            position: in :attr:`index`.
+        """One scan, by its position in :attr:`index`.
 
         Returns:
             (N, 4) float32 x, y, z (metres, LiDAR frame) and reflectance in 0..1, N ≥ 1, and how

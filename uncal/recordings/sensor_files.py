@@ -111,26 +111,12 @@ def read_scan(path: Path) -> tuple[NDArray[np.float32], int]:
 
 
 def read_clock_times(path: Path) -> NDArray[np.float64]:
-    """Read KITTI raw timestamps, ``2011-09-26 13:02:25.964389445`` a line.
-
-    Args:
-        path: the ``timestamps.txt`` of one sensor; a missing one holds no lines.
-
-    Returns:
-        (lines,) seconds since 1970 of the clock time read as UTC; NaN for a line that is no time.
-    """
+    """(lines,) seconds since 1970 of KITTI raw stamps ``2011-09-26 13:02:25.964389445``, or NaN."""
     return _read_times(path, _clock_seconds)
 
 
 def read_second_times(path: Path) -> NDArray[np.float64]:
-    """Read KITTI odometry timestamps, seconds since the start of the sequence, one a line.
-
-    Args:
-        path: the ``times.txt`` of a sequence; a missing one holds no lines.
-
-    Returns:
-        (lines,) seconds; NaN for a line that is no number.
-    """
+    """(lines,) seconds of KITTI odometry stamps, or NaN; a missing file holds no lines."""
     return _read_times(path, float)
 
 

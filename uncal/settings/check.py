@@ -38,9 +38,6 @@ def check_settings(config: DictConfig) -> None:
     Within a job of Hydra the shipped configuration says which keys there are and of what kind
     their values are; elsewhere only the bounds count.
 
-    Args:
-        config: as composed, before an entry point changes it.
-
     Raises:
         ConfigurationError: one line for every key at fault.
     """

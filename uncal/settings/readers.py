@@ -27,10 +27,6 @@ def refuse_unread(config: DictConfig, reference: DictConfig) -> None:
     it, or if another value refers to it. Where the reference holds nothing but groups by name
     (callbacks), there may be more of their kind.
 
-    Args:
-        config: what a user asked for.
-        reference: the shipped configuration with the same choices and no values of the user's.
-
     Raises:
         ConfigurationError: names every such key and the nearest known one.
     """

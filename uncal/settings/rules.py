@@ -38,14 +38,7 @@ def require(key: str, value: object, rule: Rule) -> None:
 def number(
     low: float, high: float, *, whole: bool = False, above: bool = False, below: bool = False
 ) -> Rule:
-    """A finite number from ``low`` to ``high``; true and false are none.
-
-    Args:
-        low: smallest.
-        high: largest.
-        whole: whether it must be a whole number.
-        above: whether ``low`` itself is excluded.
-        below: whether ``high`` itself is excluded.
+    """A finite number from ``low`` to ``high``; ``above``, ``below``: these excluded; no booleans.
 
     >>> number(0, 1, below=True).holds(1.0), number(0, 1, below=True).expected
     (False, 'a number of at least 0 and below 1')

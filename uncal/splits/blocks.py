@@ -43,11 +43,6 @@ def leave_gaps(
 ) -> dict[str, list[FrameId]]:
     """Leave out the last ``gap`` frames of every block that the next one does not join.
 
-    Args:
-        splits: split → its frames, made of whole blocks of ``length``.
-        length: frames of a block.
-        gap: how many frames to leave out where blocks of different splits meet; 0: none.
-
     Raises:
         ConfigurationError: ``gap`` is negative, or so large that it could take a whole block.
     """

@@ -38,15 +38,7 @@ def hold_out_drives(
 def hold_out_rigs(
     frame_ids: Sequence[FrameId], share: float, seed: int
 ) -> tuple[list[FrameId], list[FrameId]]:
-    """Hold out rigs before anything is split, the same ones whatever the split is by.
-
-    Args:
-        frame_ids: all frames.
-        share: of the rigs, in [0, 1); rounded to whole rigs, at least one if above 0.
-        seed: another seed, other rigs.
-
-    Returns:
-        The frames that remain, and those of the held-out rigs, by name.
+    """The frames that remain, and those of a share of the rigs: the same whatever the split is by.
 
     Raises:
         ConfigurationError: ``share`` is out of range, or no rig would remain.

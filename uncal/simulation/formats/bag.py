@@ -31,27 +31,16 @@ _START = 1_700_000_000.0
 
 
 def write_bag(
-    path: Path,
-    images: list[tuple[float, NDArray[np.uint8]]],
-    scans: list[tuple[float, NDArray[np.float32]]],
-    K: NDArray[np.float64],
-    T_cam_lidar: NDArray[np.float64] | None,
-    kind: str = "mcap",
-    lens: tuple[str, list[float]] = ("plumb_bob", [0.0] * 5),
-    compressed: bool = False,
+    path: Path,  # of the bag; a folder for ROS 2
+    images: list[tuple[float, NDArray[np.uint8]]],  # seconds and (H, W, 3) RGB
+    scans: list[tuple[float, NDArray[np.float32]]],  # seconds and (N, 4), reflectance in 0..1
+    K: NDArray[np.float64],  # (3, 3)
+    T_cam_lidar: NDArray[np.float64] | None,  # (4, 4) for /tf_static
+    kind: str = "mcap",  # or ros1, sqlite3
+    lens: tuple[str, list[float]] = ("plumb_bob", [0.0] * 5),  # model and coefficients
+    compressed: bool = False,  # JPEG
 ) -> Path:
-    """Write /front/image_raw, /front/camera_info, /top/points and /tf_static.
-
-    Args:
-        path: of the bag; a folder for ROS 2.
-        images: seconds and (H, W, 3) RGB.
-        scans: seconds and (N, 4) with reflectance in 0..1.
-        K: (3, 3).
-        T_cam_lidar: (4, 4) for /tf_static; None: there is none.
-        kind: ros1, sqlite3 or mcap.
-        lens: distortion model and coefficients.
-        compressed: JPEG.
-    """
+    """Write /front/image_raw, /front/camera_info, /top/points and /tf_static."""
     ros1 = kind == "ros1"
     store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
     if ros1:  # which rosbags leaves out

@@ -67,15 +67,7 @@ class EventOptics:
         return self.rectify(u, v).astype(np.float32)
 
     def rays(self, size: tuple[int, int], supersampling: int) -> NDArray[np.float32]:
-        """Directions seen by the sensor's pixels, in the rectified camera's frame, z = 1.
-
-        Args:
-            size: (H, W), pixels.
-            supersampling: n; n × n rays spread evenly over each pixel.
-
-        Returns:
-            (H·n, W·n, 3) float32.
-        """
+        """(H·n, W·n, 3) float32 directions of n × n samples a pixel, rectified frame, z = 1."""
         rows, columns = (
             (np.arange(length * supersampling) + 0.5) / supersampling - 0.5 for length in size
         )

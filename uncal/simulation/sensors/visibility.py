@@ -44,13 +44,7 @@ def samples(
 
 
 def visible(scene: Scene, position: Array, directions: Array) -> Numbers:
-    """First triangle that each ray of a regular grid meets, or NOTHING, (H, W).
-
-    Args:
-        scene: the street.
-        position: (3,) float32 common origin, world coordinates.
-        directions: (H, W, 3) float32, linear in row and column.
-    """
+    """(H, W) first triangle, or NOTHING, on rays that are linear in row and column."""
     height, width = directions.shape[:2]
     triangle = np.full((height + 2, width + 2), OUTSIDE, np.int32)
     cells = np.zeros(triangle.shape, np.int64)
