@@ -25,13 +25,13 @@ from uncal.geometry.decalibration import decalibrate
 from uncal.models.module import CalibrationModule
 from uncal.models.split_prediction import SplitPrediction
 from uncal.monitor.references import INSIDE, References, find_references
+from uncal.recordings.folder_listing import layout_of
 from uncal.recordings.frame import FrameId
-from uncal.recordings.layout_names import layout_of
 from uncal.recordings.plain_folder import PlainFolder
 from uncal.settings.configuration import CONFIG_DIR
+from uncal.simulation.cache import ensure_simulated
 from uncal.simulation.formats.bag import drive_as_bag
 from uncal.simulation.settings import SimulationSettings
-from uncal.simulation.writer import simulate
 from uncal.uncertainty import ConformalCalibrator, HierarchicalCalibrator, coverage_band
 from uncal.weights.shipped import save_shipped
 
@@ -128,7 +128,7 @@ def own_rig(tmp_path_factory: pytest.TempPathFactory, start: Run) -> Path:
     street = OmegaConf.load(Path(CONFIG_DIR) / "simulation" / "street.yaml")
     merged = OmegaConf.to_container(OmegaConf.merge(street, TINY))
     settings = SimulationSettings.from_mapping(cast("dict[str, object]", merged))
-    simulate(settings, folder / "sim", workers=1, progress=False)
+    ensure_simulated(settings, folder / "sim", workers=1, progress=False)
     for number in range(1, 11):
         bag = drive_as_bag(folder / "sim", f"*_{number:04d}_sync", folder / f"bag{number:02d}")
         done = start("uncal.convert", f"source={bag}", f"root={folder / 'rig'}", cwd=folder)

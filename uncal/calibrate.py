@@ -60,7 +60,7 @@ def with_layout(words: Sequence[str]) -> list[str]:
     >>> with_layout(["recordings=ROOT", "dataset=kitti"])
     ['recordings=ROOT', 'dataset=kitti']
     """
-    from uncal.recordings.layout_names import layout_of
+    from uncal.recordings.folder_listing import layout_of
 
     given = dict(word.split("=", 1) for word in words if "=" in word)
     if "dataset" in given or "recordings" not in given:

@@ -7,8 +7,8 @@ import pytest
 from omegaconf import OmegaConf
 
 from uncal.settings.configuration import CONFIG_DIR
+from uncal.simulation.cache import ensure_simulated
 from uncal.simulation.settings import SimulationSettings
-from uncal.simulation.writer import simulate
 
 SMALL = {
     "seed": 3,
@@ -32,7 +32,7 @@ def settings(*files: str) -> SimulationSettings:
 def kitti_like(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """One simulated drive in KITTI's layout; tests break copies of it."""
     root = tmp_path_factory.mktemp("checked") / "root"
-    simulate(settings("street"), root, workers=1, progress=False)
+    ensure_simulated(settings("street"), root, workers=1, progress=False)
     return root
 
 
@@ -40,5 +40,5 @@ def kitti_like(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def dsec_like(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """One simulated drive in DSEC's layout."""
     root = tmp_path_factory.mktemp("checked_events") / "root"
-    simulate(settings("street", "event_street"), root, workers=1, progress=False)
+    ensure_simulated(settings("street", "event_street"), root, workers=1, progress=False)
     return root

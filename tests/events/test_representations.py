@@ -274,13 +274,13 @@ def test_the_map_is_that_of_resizing_and_cropping() -> None:
 
 @pytest.mark.parametrize("bins", [0, -3, 2.0, True, None])
 def test_bins_must_be_a_positive_number(bins: int) -> None:
-    with pytest.raises(ConfigurationError, match=rf"bins is {bins!r}; expected"):
+    with pytest.raises(ConfigurationError, match=rf"bins={bins!r}: expected"):
         VoxelGrid(bins, normalize=True)
 
 
 @pytest.mark.parametrize("tau_us", [0.0, -1.0, math.inf, math.nan])
 def test_the_time_constant_must_be_positive(tau_us: float) -> None:
-    with pytest.raises(ConfigurationError, match=rf"tau_us is {tau_us!r}; expected"):
+    with pytest.raises(ConfigurationError, match=rf"tau_us={tau_us!r}: expected"):
         TimeSurface(tau_us)
 
 

@@ -11,8 +11,8 @@ import pytest
 from omegaconf import OmegaConf
 
 from uncal.settings.configuration import CONFIG_DIR
+from uncal.simulation.cache import ensure_simulated
 from uncal.simulation.settings import SimulationSettings
-from uncal.simulation.writer import simulate
 
 Run = Callable[..., "subprocess.CompletedProcess[str]"]
 
@@ -32,7 +32,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("monitored") / "root"
     street = OmegaConf.load(Path(CONFIG_DIR) / "simulation" / "street.yaml")
     merged = OmegaConf.to_container(OmegaConf.merge(street, TINY))
-    simulate(
+    ensure_simulated(
         SimulationSettings.from_mapping(cast("dict[str, object]", merged)),
         root,
         workers=1,

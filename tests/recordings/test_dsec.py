@@ -186,9 +186,9 @@ def test_unknown_frame_is_refused(dsec_root: Path) -> None:
 @pytest.mark.parametrize(
     ("setting", "message"),
     [
-        ({"window_ms": 0}, "window_ms is 0"),
-        ({"window_ms": float("nan")}, "window_ms is nan"),
-        ({"min_events": -1}, "min_events is -1"),
+        ({"window_ms": 0}, "window_ms=0: expected"),
+        ({"window_ms": float("nan")}, "window_ms=nan: expected"),
+        ({"min_events": -1}, "min_events=-1: expected"),
         ({"stride": 0}, "stride is 0"),
         ({"side": "middle"}, "expected one of left, right"),
         ({"scan_time": "middle"}, "expected one of end, stamp"),

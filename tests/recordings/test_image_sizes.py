@@ -11,10 +11,9 @@ import yaml  # type: ignore[import-untyped]
 
 from uncal.errors import FrameError
 from uncal.recordings.dsec import Dsec
-from uncal.recordings.image_sizes import png_size, usual_size
 from uncal.recordings.kitti import KittiRaw
 from uncal.recordings.kitti_odometry import KittiOdometry
-from uncal.recordings.sensor_files import read_image
+from uncal.recordings.sensor_files import image_size, read_image, usual_size
 
 
 def write(path: Path, *shape: int, dtype: type = np.uint8, value: int = 7) -> None:
@@ -82,10 +81,10 @@ def test_a_map_of_another_resolution_than_the_calibration_leaves_the_sequence_ou
 
 def test_sizes_come_from_the_header(tmp_path: Path) -> None:
     write(tmp_path / "a.png", 5, 7, 3)
-    assert png_size(tmp_path / "a.png") == (5, 7)
+    assert image_size(tmp_path / "a.png") == (5, 7)
     (tmp_path / "b.png").write_bytes(b"no image at all, but long enough")
-    assert png_size(tmp_path / "b.png") is None
-    assert png_size(tmp_path / "none.png") is None
+    assert image_size(tmp_path / "b.png") is None
+    assert image_size(tmp_path / "none.png") is None
     assert usual_size([tmp_path / "b.png"]) is None
     assert usual_size([]) is None
 

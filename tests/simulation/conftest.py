@@ -8,8 +8,8 @@ import pytest
 from omegaconf import OmegaConf
 
 from uncal.settings.configuration import CONFIG_DIR
+from uncal.simulation.cache import ensure_simulated
 from uncal.simulation.settings import SimulationSettings
-from uncal.simulation.writer import simulate
 
 MakeSettings = Callable[..., SimulationSettings]
 
@@ -62,7 +62,7 @@ def tiny_simulation(
 ) -> Path:
     """A finished simulation, written by two processes; tests must not change it."""
     root = tmp_path_factory.mktemp("simulated") / "root"
-    simulate(tiny_settings, root, workers=2, progress=False)
+    ensure_simulated(tiny_settings, root, workers=2, progress=False)
     return root
 
 
@@ -77,5 +77,5 @@ def event_simulation(
 ) -> Path:
     """A finished simulation with events, written by two processes; tests must not change it."""
     root = tmp_path_factory.mktemp("simulated_events") / "root"
-    simulate(event_settings, root, workers=2, progress=False)
+    ensure_simulated(event_settings, root, workers=2, progress=False)
     return root

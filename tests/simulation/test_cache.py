@@ -45,7 +45,7 @@ def test_finished_simulation_is_reused(
     def never(*_: object) -> None:
         raise AssertionError("simulated again")
 
-    monkeypatch.setattr(cache, "write_missing", never)
+    monkeypatch.setattr(cache, "write_rigs", never)
     before = contents(root)
     assert ensure_simulated(tiny_settings, root, progress=False) == root
     assert contents(root) == before

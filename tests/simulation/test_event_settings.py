@@ -41,12 +41,15 @@ def test_events_survive_a_round_trip_and_count(make_event_settings: MakeSettings
 @pytest.mark.parametrize(
     ("overrides", "message"),
     [
-        ({"events": {"subframes": 0}}, r"simulation\.events\.subframes is 0; it must lie between"),
+        (
+            {"events": {"subframes": 0}},
+            r"events\.subframes=0: expected a whole number from 1",
+        ),
         ({"events": {"threshold": 0.2}}, r"unknown setting simulation\.events\.threshold"),
         ({"events": {"window_ms": 500.0}}, r"window_ms is 500\.0; it must not be longer than"),
         ({"drives_per_rig": 27}, r"drives_per_rig is 27; with simulation\.events at most 26"),
         ({"frames_per_drive": 5000}, r"frames_per_drive is 5000; with .* at most 4500 fit"),
-        ({"events": 3}, r"simulation\.events is 3; it must be a group of keys"),
+        ({"events": 3}, r"simulation\.events=3: expected a group of keys"),
     ],
 )
 def test_bad_values_are_named_with_their_bound(

@@ -141,8 +141,14 @@ def test_a_stream_is_read_as_it_comes() -> None:
     [
         (lambda: BlackCamera(5, 4), r"BlackCamera: first=5, last=4; expected 0 <= first <= last"),
         (lambda: FrozenLidar(-1, 4), r"FrozenLidar: first=-1"),
-        (lambda: DroppedReturns(0, 1, share=1.5), r"share=1\.5; expected within \(0, 1\]"),
-        (lambda: ClockOffset(0, 1, frames=0), r"ClockOffset: frames=0; expected at least 1"),
+        (
+            lambda: DroppedReturns(0, 1, share=1.5),
+            r"DroppedReturns\.share=1\.5: expected a number above 0 and up to 1",
+        ),
+        (
+            lambda: ClockOffset(0, 1, frames=0),
+            r"ClockOffset.frames=0: expected a whole number from 1",
+        ),
     ],
 )
 def test_settings_out_of_range_are_refused(make: object, message: str) -> None:

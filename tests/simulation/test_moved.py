@@ -6,9 +6,9 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+from uncal.simulation.cache import ensure_simulated
 from uncal.simulation.moved import ensure_moved
 from uncal.simulation.settings import MotionSettings, SimulationSettings
-from uncal.simulation.writer import simulate
 
 
 def contents(root: Path) -> dict[str, bytes]:
@@ -27,8 +27,8 @@ def test_byte_for_byte(make_settings: Callable[..., SimulationSettings], tmp_pat
         | {"first_frame": 1, "ramp_frames": 1, "vibration_hz": 3.0}
     )
     moving = replace(settings, motion=motion, n_rigs=1)
-    simulate(settings, tmp_path / "still", workers=1, progress=False)
-    simulate(moving, tmp_path / "simulated", workers=1, progress=False)
+    ensure_simulated(settings, tmp_path / "still", workers=1, progress=False)
+    ensure_simulated(moving, tmp_path / "simulated", workers=1, progress=False)
     # Of another motion first: it must be replaced.
     other = replace(moving, motion=replace(motion, x_cm=5.0))
     root = tmp_path / "moved"

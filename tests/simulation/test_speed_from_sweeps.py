@@ -11,8 +11,8 @@ import pytest
 
 from uncal.recordings.dsec import Dsec
 from uncal.recordings.kitti import KittiRaw
+from uncal.simulation.cache import ensure_simulated
 from uncal.simulation.settings import SimulationSettings
-from uncal.simulation.writer import simulate
 
 SEEN = {"lidar": {"beams": 32, "azimuth_step_deg": 0.4}, "scene": {"view_m": 90.0}}
 
@@ -20,7 +20,7 @@ SEEN = {"lidar": {"beams": 32, "azimuth_step_deg": 0.4}, "scene": {"view_m": 90.
 def test_a_drive_without_oxts_is_untwisted_by_its_own_sweeps(
     make_settings: Callable[..., SimulationSettings], tmp_path: Path
 ) -> None:
-    simulate(make_settings(n_rigs=1, **SEEN), tmp_path)
+    ensure_simulated(make_settings(n_rigs=1, **SEEN), tmp_path)
     recorded = KittiRaw(tmp_path)
     twists = [recorded.load(frame).twist for frame in recorded.frame_ids]
     for oxts in tmp_path.glob("*/*/oxts"):
@@ -39,7 +39,7 @@ def test_a_dsec_drive_is_untwisted_by_its_own_sweeps(
     make_event_settings: Callable[..., SimulationSettings], tmp_path: Path
 ) -> None:
     settings = make_event_settings(n_rigs=1, **SEEN)
-    simulate(settings, tmp_path)
+    ensure_simulated(settings, tmp_path)
     recording = Dsec(tmp_path, window_ms=settings.events.window_ms, min_events=0)  # type: ignore[union-attr]
     found = [recording.load(frame).twist for frame in recording.frame_ids]
     speeds = [twist[0] for twist in found if twist is not None]

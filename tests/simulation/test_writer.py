@@ -12,11 +12,11 @@ import pytest
 
 from uncal.errors import ConfigurationError, RecordingError
 from uncal.simulation import writer
+from uncal.simulation.cache import ensure_simulated
 from uncal.simulation.formats.kitti_folder import KittiLayout
 from uncal.simulation.scene.trajectory import drive_speed
 from uncal.simulation.sensors.rig import draw_rig
 from uncal.simulation.settings import SimulationSettings
-from uncal.simulation.writer import simulate
 
 MakeSettings = Callable[..., SimulationSettings]
 
@@ -82,9 +82,9 @@ def test_bytes_depend_on_the_seed_and_not_on_the_processes(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    simulate(tiny_settings, tmp_path / "again", workers=1, progress=False)
+    ensure_simulated(tiny_settings, tmp_path / "again", workers=1, progress=False)
     assert digests(tmp_path / "again") == digests(tiny_simulation)
-    simulate(make_settings(seed=1), tmp_path / "other", workers=1, progress=False)
+    ensure_simulated(make_settings(seed=1), tmp_path / "other", workers=1, progress=False)
     before, after = digests(tiny_simulation), digests(tmp_path / "other")
     assert before.keys() == after.keys()
     same = {name for name in before if before[name] == after[name]}
@@ -96,27 +96,23 @@ def test_long_drives_are_simulated_in_pieces(
 ) -> None:
     monkeypatch.setattr(writer, "PIECE_FRAMES", 2)
     settings = make_settings(n_rigs=1, drives_per_rig=2, frames_per_drive=5)
-    simulate(settings, tmp_path / "root", workers=2, progress=False)
+    ensure_simulated(settings, tmp_path / "root", workers=2, progress=False)
     date = tmp_path / "root" / "2041_01_01"
     for drive in ("0001", "0002"):
         images = sorted((date / f"2041_01_01_drive_{drive}_sync/image_02/data").iterdir())
         assert [image.name for image in images] == [f"{frame:010d}.png" for frame in range(5)]
 
 
-def test_other_settings_and_foreign_folders_are_refused(
-    make_settings: MakeSettings, tiny_simulation: Path, tmp_path: Path
-) -> None:
-    with pytest.raises(RecordingError, match=r"holds a simulation with other settings"):
-        simulate(make_settings(seed=1), tiny_simulation, progress=False)
+def test_foreign_folders_are_refused(make_settings: MakeSettings, tmp_path: Path) -> None:
     (tmp_path / "2011_09_26").mkdir()
     with pytest.raises(RecordingError, match=r"no simulation\.json.*2011_09_26.*another folder"):
-        simulate(make_settings(), tmp_path, progress=False)
+        ensure_simulated(make_settings(), tmp_path, progress=False)
     assert [entry.name for entry in tmp_path.iterdir()] == ["2011_09_26"]
 
 
 def test_workers_must_be_positive(tiny_settings: SimulationSettings, tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match="workers is 0; it must be at least 1"):
-        simulate(tiny_settings, tmp_path / "root", workers=0)
+        ensure_simulated(tiny_settings, tmp_path / "root", workers=0)
 
 
 def test_a_failing_worker_is_reported_and_leaves_no_half_folder(
@@ -125,5 +121,5 @@ def test_a_failing_worker_is_reported_and_leaves_no_half_folder(
     # Workers find no drive folder, so their first write fails.
     monkeypatch.setattr(KittiLayout, "prepare", lambda layout, rig, partial: partial.mkdir())
     with pytest.raises(RecordingError, match=r"sync/image_02.*could not be written"):
-        simulate(tiny_settings, tmp_path / "root", workers=1, progress=False)
+        ensure_simulated(tiny_settings, tmp_path / "root", workers=1, progress=False)
     assert not list((tmp_path / "root").glob("2041*"))

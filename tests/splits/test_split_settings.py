@@ -100,14 +100,14 @@ def test_notes_of_blocks() -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"test": "both"}, r"split\.test=both: expected own .* or unseen"),
+        ({"test": "both"}, r"split\.test='both': expected own or unseen"),
         ({"unseen_rigs": 0.0}, r"split\.test=unseen .*unseen_rigs=0 .*say 0\.2.*split\.test=own"),
-        ({"unseen_rigs": 25}, r"unseen_rigs=25: expected a share of the 20 rig"),
+        ({"unseen_rigs": 25}, r"unseen_rigs=25: expected a number of at least 0 and below 1"),
         ({"unseen_rigs": 0.98}, r"holds out 20 of 20 rig\(s\)"),
         ({"unseen_rigs": 0.9}, r"at least 4 rigs.* there are 2 .*had held out 18 rig\(s\) before"),
         ({"by": "official", "official": OFFICIAL}, r"unseen_rigs=0\.2, but split\.by=official"),
         ({"by": "block", "block_frames": None}, r"split\.block_frames=None"),
-        ({"by": "sequence"}, r"split\.by is 'sequence', expected one of frame, block, drive, rig"),
+        ({"by": "sequence"}, r"split\.by='sequence': expected frame or block or drive or rig"),
         ({"train_frames": 1000}, r"split\.train_frames=1000, but this split has 2\d\d training"),
     ],
 )
@@ -154,8 +154,11 @@ def test_named_drives_test_and_the_others_share_the_rest() -> None:
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        ({"test_drives": ["*_2"]}, r"no drive matches \*_2; there are drive0, drive1"),
-        ({"test_drives": []}, "names 0 of 2"),
+        (
+            {"test_drives": ["*_2"]},
+            r"split\.test_drives names '\*_2', which .*; there are drive0, drive1",
+        ),
+        ({"test_drives": []}, "split.test_drives is an empty list"),
         ({"test_drives": ["drive*"]}, "names 2 of 2"),
         ({"test_drives": ["*1"], "fractions": (0.0, 0.0, 0.0, 1.0)}, "above 0"),
         ({"test_drives": ["*1"], "unseen_rigs": 0.2}, "choose one of them"),

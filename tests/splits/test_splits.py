@@ -167,10 +167,10 @@ def test_too_few_groups_names_their_number_and_the_remedy() -> None:
 @pytest.mark.parametrize(
     ("fractions", "message"),
     [
-        ((0.6, 0.2, 0.2), "has 3 numbers"),
-        ((0.6, 0.15, 0.15, 0.2), "sums to 1.1"),
-        ((0.8, 0.3, -0.1, 0.0), "none below 0"),
-        ((0.6, 0.3, float("nan"), 0.1), "none below 0"),
+        ((0.6, 0.2, 0.2), "expected a list of 4"),
+        ((0.6, 0.15, 0.15, 0.2), "that sum to 1"),
+        ((0.8, 0.3, -0.1, 0.0), "each a number from 0 to 1"),
+        ((0.6, 0.3, float("nan"), 0.1), "each a number from 0 to 1"),
     ],
 )
 def test_fractions_out_of_range(fractions: tuple[float, ...], message: str) -> None:
@@ -180,7 +180,7 @@ def test_fractions_out_of_range(fractions: tuple[float, ...], message: str) -> N
 
 def test_unknown_unit() -> None:
     with pytest.raises(
-        ConfigurationError, match=r"'rigs', expected one of frame, block, drive, rig"
+        ConfigurationError, match=r"split\.by='rigs': expected frame or block or drive or rig"
     ):
         split_frames(recording(4, 1, 1), "rigs", PAPER, seed=0)
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from copy import copy
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -69,32 +70,19 @@ class EdgeField:
         self.K = batch.K
 
     def fewer(self, edges: int) -> EdgeField:
-        """The same with fewer edges, of which any first part is a fair sample.
-
-        Args:
-            edges: of each frame.
-        """
+        """The same with fewer edges a frame, of which any first part is a fair sample."""
         smaller = copy(self)
         smaller.edges, smaller.weights = self.edges[:, :edges], self.weights[:, :edges]
         return smaller
 
     def strength(self, blur_deg: float) -> Tensor:
-        """(B, 2, H, W) blurred edge strength above the image's mean.
-
-        Args:
-            blur_deg: standard deviation, degrees at the image's centre.
-        """
+        """(B, 2, H, W) edge strength above the image's mean, blurred by degrees at its centre."""
         sigma = float(np.radians(blur_deg)) * self.K[:, 0, 0]
         strength = blurred(self.maps, sigma)
         return SHARPNESS * (strength - strength.mean((2, 3), keepdim=True))
 
     def total(self, strength: Tensor, T: Tensor) -> Tensor:
-        """(P,) sum of all frames' scores.
-
-        Args:
-            strength: of :meth:`strength`.
-            T: (P, 4, 4) extrinsics.
-        """
+        """(P,) sum of all frames' scores of (P, 4, 4) extrinsics, on what :meth:`strength` gave."""
         of_frames = [  # one by one, since all poses of all frames would fill the memory
             score(s[None], e[None], w[None], k[None], T[None])[0]
             for s, e, w, k in zip(strength, self.edges, self.weights, self.K, strict=True)
@@ -104,27 +92,18 @@ class EdgeField:
 
 def search_wide(
     field: EdgeField,
-    T_guess: Matrix,
-    bounds: Matrix,
-    settings: SearchSettings,
-    starts: int,
-    blur_deg: Sequence[float] = WIDE_BLUR_DEG,
+    T_guess: Matrix,  # (4, 4) LiDAR to camera
+    bounds: Matrix,  # (6,) how far the guess may be off, metres and radians
+    settings: SearchSettings,  # of each search
+    starts: int,  # searches with other quasi-random poses
 ) -> Matrix:
     """The best of several searches over the whole range.
-
-    Args:
-        field: the frames.
-        T_guess: (4, 4) LiDAR to camera.
-        bounds: (6,) how far the guess may be off, metres and radians.
-        settings: of each search.
-        starts: searches with other quasi-random poses.
-        blur_deg: coarse to fine.
 
     Returns:
         (4, 4).
     """
     guess, scale = torch.from_numpy(T_guess).float(), torch.from_numpy(bounds).float()
-    fields = [field.strength(blur) for blur in blur_deg]
+    fields = [field.strength(blur) for blur in WIDE_BLUR_DEG]
 
     def likelihood(strength: Tensor) -> LogLikelihood:
         return lambda pose: field.total(strength, correct(guess, pose[0] * scale))[None]
@@ -133,28 +112,14 @@ def search_wide(
     found = []
     with torch.no_grad():
         for start in range(starts):
-            other = SearchSettings(
-                samples=settings.samples,
-                effective=settings.effective,
-                widening=settings.widening,
-                seed=settings.seed + 1000 * start,
-            )
+            other = replace(settings, seed=settings.seed + 1000 * start)
             found.append(correct(guess, search(rounds, 1, other).pose[0] * scale))
         best = field.total(fields[-1], torch.stack(found)).argmax()
     return found[int(best)].double().numpy()
 
 
 def refine(field: EdgeField, T_start: Matrix, blur_deg: Sequence[float] = FINE_BLUR_DEG) -> Matrix:
-    """Climb to the nearest maximum, coarse blur first (L-BFGS with the exact gradient).
-
-    Args:
-        field: the frames.
-        T_start: (4, 4) LiDAR to camera.
-        blur_deg: coarse to fine.
-
-    Returns:
-        (4, 4).
-    """
+    """Climb from (4, 4) to the nearest maximum, coarse blur first (L-BFGS, exact gradient)."""
     T = torch.from_numpy(T_start)
     for blur in blur_deg:
         value = _objective(field, field.strength(blur), T)

@@ -42,31 +42,18 @@ STARTS, SEARCH_EDGES, ROUNDS = 2, 384, 2
 
 @dataclass(frozen=True)
 class FirstExtrinsic:
-    """What the frames say, without a reference.
+    """What the frames say, without a reference."""
 
-    Attributes:
-        T_cam_lidar: (4, 4) after search, refinement and network.
-        half: (6,) half the width of the interval of each DoF, metres and radians, LiDAR frame.
-        covariance: (6, 6) of a normal law with such intervals.
-        searched: (4, 4) after the search alone.
-        refined: (4, 4) after the refinement, before the network.
-        frames: that it is made of.
-    """
-
-    T_cam_lidar: Matrix
-    half: Matrix
-    covariance: Matrix
-    searched: Matrix
-    refined: Matrix
-    frames: int
+    T_cam_lidar: Matrix  # (4, 4) after search, refinement and network
+    half: Matrix  # (6,) half the width of the interval of each DoF, metres and radians, LiDAR frame
+    covariance: Matrix  # (6, 6) of a normal law with such intervals
+    searched: Matrix  # (4, 4) after the search alone
+    refined: Matrix  # (4, 4) after the refinement, before the network
+    frames: int  # that it is made of
 
 
 def load_frames(recording: Recording, most: int) -> list[Frame]:
-    """Readable frames, spread evenly over the recording.
-
-    Args:
-        recording: of one rig.
-        most: how many at most.
+    """At most so many readable frames, spread evenly over the recording of one rig.
 
     Raises:
         RecordingError: none can be read.
@@ -87,14 +74,7 @@ def load_frames(recording: Recording, most: int) -> list[Frame]:
 def edge_field(
     frames: Sequence[Frame], reader: EvidenceReader, T_guess: Matrix, within: DecalibrationRange
 ) -> EdgeField:
-    """Frames with the edges that an extrinsic near the guess may bring into the image.
-
-    Args:
-        frames: of one rig.
-        reader: the weights, which say what images look like to the network.
-        T_guess: (4, 4) LiDAR to camera.
-        within: how far the guess may be off.
-    """
+    """Frames with the edges that an extrinsic near the guess may bring into the image."""
     samples: list[Sample] = []
     for place, frame in enumerate(frames):
         dataset = copy.copy(reader.dataset(frame))
@@ -123,14 +103,6 @@ def first_extrinsic(
     it narrower, since what is common to a rig does not average out, and it reaches at least as far
     as refinement and network differ.
 
-    Args:
-        frames: of one rig.
-        reader: the weights.
-        T_guess: (4, 4) LiDAR to camera.
-        within: how far it may be off.
-        references: of the weights.
-        settings: of the monitor: level and fewest edges.
-
     Raises:
         RecordingError: no frame has enough edges in the image.
     """
@@ -150,20 +122,13 @@ def first_extrinsic(
 
 
 def rounds_of_network(
-    frames: Sequence[Frame],
+    frames: Sequence[Frame],  # of one rig
     reader: EvidenceReader,
-    T_start: Matrix,
-    rounds: int,
-    settings: MonitorSettings,
+    T_start: Matrix,  # (4, 4) LiDAR to camera
+    rounds: int,  # how often
+    settings: MonitorSettings,  # of the monitor: fewest edges, and the most frames that σ is for
 ) -> tuple[Matrix, Estimate, int]:
     """The network on all frames together, again from what it has found.
-
-    Args:
-        frames: of one rig.
-        reader: the weights.
-        T_start: (4, 4) LiDAR to camera.
-        rounds: how often.
-        settings: of the monitor: fewest edges, and the most frames that σ is for.
 
     Returns:
         (4, 4) LiDAR to camera, the last round's estimate, and the frames in it.

@@ -17,15 +17,7 @@ from uncal.uncertainty.conformal.quantile import conformal_rank, miscoverage, sa
 
 
 def choose_interval(interval: DictConfig, drives: int) -> str:
-    """Take the hierarchical method where there are drives enough, and say why or why not.
-
-    Args:
-        interval: settings of the weights; changed.
-        drives: of the trusted recordings.
-
-    Returns:
-        A sentence.
-    """
+    """Take the hierarchical method where there are drives enough; returns a sentence why or not."""
     needed = samples_needed(miscoverage(min(interval.levels)))
     percent = f"{min(interval.levels):.0%}"
     if drives < 2:
@@ -48,12 +40,7 @@ def choose_interval(interval: DictConfig, drives: int) -> str:
 
 
 def possible_levels(levels: Sequence[float], units: int) -> list[float]:
-    """Those with finite intervals.
-
-    Args:
-        levels: coverage levels.
-        units: frames, or drives of the hierarchical method.
-    """
+    """Levels with finite intervals, given the frames, or the drives of the hierarchical method."""
     return [level for level in levels if samples_needed(miscoverage(level)) <= units]
 
 
@@ -63,17 +50,7 @@ def summary(
     frames: Sequence[FrameId],
     levels: Sequence[float],
 ) -> list[str]:
-    """What the calibration guarantees.
-
-    Args:
-        module: calibrated.
-        scores: predictions that it was calibrated with.
-        frames: of their split.
-        levels: coverage levels.
-
-    Returns:
-        Lines of text.
-    """
+    """Lines that say what the calibration of a module with the scores of some frames guarantees."""
     drives = len(set(scores.groups(frames, "drive")))
     by_drive = module.calibrator.kind == "hierarchical"
     m, what = (drives, "drives") if by_drive else (len(scores.index), "frames")

@@ -33,16 +33,7 @@ ALL_CALIBRATE: tuple[float, float, float, float] = (0.01, 0.01, 0.97, 0.01)
 
 
 def calibrate(config: DictConfig, words: list[str], weights: Path, out: Path) -> list[str]:
-    """Fit the calibrator and make the monitor's references; write one file, and ROS files.
-
-    Args:
-        config: conf/calibrate.yaml with overrides.
-        words: overrides of the command line.
-        weights: a checkpoint, or shipped weights.
-        out: file to write.
-
-    Returns:
-        Lines for the user.
+    """Fit the calibrator, make the monitor's references; write one file and ROS files. Gives lines.
 
     Raises:
         ConfigurationError: no level is possible with so few frames.

@@ -30,15 +30,7 @@ WARNING = (
 
 
 def find_first(config: DictConfig, weights: Path, stem: Path) -> list[str]:
-    """Find a first extrinsic and write it for ROS.
-
-    Args:
-        config: conf/calibrate.yaml with overrides; the recordings' extrinsic is the guess.
-        weights: a checkpoint, or shipped weights.
-        stem: of the files to write.
-
-    Returns:
-        Lines for the user.
+    """Find a first extrinsic, with the recordings' as guess, and write it for ROS. Gives lines.
 
     Raises:
         ConfigurationError: the recordings are of several rigs, or the weights read events.

@@ -33,16 +33,10 @@ def describe(matrix: NDArray[np.float32]) -> str:
 
 
 def to_lidar_axes(points: NDArray[np.float32]) -> NDArray[np.float32]:
-    """A rotation that brings a sweep's axis of rotation to z, up.
+    """(3, 3) rotation, one ±1 a row, that brings the axis of an (N, 3) sweep to z, up.
 
     A sweep is flat: it reaches far to the sides, and hardly up or down. Most of its returns come
     from below the sensor.
-
-    Args:
-        points: (N, 3 or more), any axes.
-
-    Returns:
-        (3, 3) rotation with one ±1 in each row.
 
     >>> sweep = np.array([[0, 1.5, 9], [9, 1.6, 1], [-9, 1.7, 2], [3, 1.6, -9]], np.float32)
     >>> describe(to_lidar_axes(sweep))

@@ -89,7 +89,7 @@ def _velo(root: Path, change: Callable[[NDArray[np.float64]], NDArray[np.float64
     for path in root.rglob("calib_velo_to_cam.txt"):
         known = read_calibration_file(path)
         T = np.eye(4)
-        T[:3, :3], T[:3, 3] = known["R"].reshape(3, 3), known["T"]
+        T[:3, :3], T[:3, 3] = known["R"], known["T"]
         T = change(T)
         lines = [f"{key}: {' '.join(f'{v:.12e}' for v in values.ravel())}"
                  for key, values in (("R", T[:3, :3]), ("T", T[:3, 3]))]  # fmt: skip
@@ -135,7 +135,7 @@ def _images(root: Path, change: Callable[[NDArray[np.uint8], float], NDArray[np.
     for path in root.rglob("image_02/data/*.png"):
         image = np.asarray(cv2.imread(str(path)), np.uint8)
         known = read_calibration_file(path.parents[3] / "calib_cam_to_cam.txt")
-        cv2.imwrite(str(path), np.ascontiguousarray(change(image, known["P_rect_02"][0])))
+        cv2.imwrite(str(path), np.ascontiguousarray(change(image, known["P_rect_02"][0, 0])))
 
 
 def _smaller(image: NDArray[np.uint8], _: float) -> NDArray[np.uint8]:

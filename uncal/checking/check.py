@@ -31,15 +31,10 @@ RUN = 4
 
 
 class Checked(NamedTuple):
-    """What is known of a folder.
-
-    Attributes:
-        layout: its name.
-        reports: of its drives, in order.
-    """
+    """What is known of a folder."""
 
     layout: str
-    reports: list[DriveReport]
+    reports: list[DriveReport]  # of its drives, in order
 
     @property
     def findings(self) -> list[Finding]:
@@ -50,17 +45,7 @@ class Checked(NamedTuple):
 def check(
     root: Path, camera: str | None, n_frames: int, overlays: Path | None, quiet: bool = False
 ) -> Checked:
-    """Check every drive of a folder.
-
-    Args:
-        root: of the recordings, in any of the layouts.
-        camera: which one; None: the first that was recorded.
-        n_frames: frames of each drive whose edges are compared.
-        overlays: folder for one picture per drive; None: none.
-        quiet: show no progress.
-
-    Returns:
-        The reports.
+    """Check every drive of a folder, by the edges of ``n_frames`` frames; one picture per drive.
 
     Raises:
         RecordingError: the folder has none of the layouts.
@@ -117,11 +102,7 @@ def _check(drive: Drive, n_frames: int, overlays: Path | None) -> DriveReport:
 
 
 def chosen_runs(ids: Sequence[FrameId], n_frames: int) -> list[list[FrameId]]:
-    """Stretches of :data:`RUN` consecutive frames, spread over a drive.
-
-    Args:
-        ids: of the drive.
-        n_frames: frames in all, at most.
+    """Stretches of :data:`RUN` consecutive frames, ``n_frames`` at most in all, over a drive.
 
     >>> ids = [FrameId("rig", "drive", i) for i in range(20)]
     >>> [[frame.index for frame in run] for run in chosen_runs(ids, 8)]

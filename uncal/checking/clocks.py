@@ -20,11 +20,7 @@ _SIGNIFICANT = 3.0
 
 
 def agreements(views: Sequence[View]) -> NDArray[np.float64]:
-    """(images, scans) agreement of every image with every scan, as declared.
-
-    Args:
-        views: consecutive frames of one drive.
-    """
+    """(images, scans) agreement of every image with every scan of consecutive frames."""
     n = len(views)
     table = np.full((n, n), np.nan)
     for i, image in enumerate(views):
@@ -35,12 +31,7 @@ def agreements(views: Sequence[View]) -> NDArray[np.float64]:
 
 
 def of_pairs(drive: str, runs: Sequence[Sequence[View]]) -> list[Finding]:
-    """Scans that fit another image better than their own.
-
-    Args:
-        drive: name of the drive.
-        runs: several stretches of consecutive frames.
-    """
+    """Scans that fit another image better than their own, in stretches of consecutive frames."""
     tables = [agreements(views) for views in runs]
     for lag in sorted(set(range(-LONGEST_LAG, LONGEST_LAG + 1)) - {0}, key=abs):
         gains = np.concatenate([_gain(table, lag) for table in tables])

@@ -160,17 +160,7 @@ def ring() -> Tensor:
 def peak_height(
     views: Sequence[View], T: Tensor, K: Tensor | None = None, k1: float = 0.0
 ) -> float:
-    """How far a hypothesis stands above itself turned, over all frames together.
-
-    Args:
-        views: of one drive.
-        T: (4, 4) extrinsic.
-        K: as in :func:`agreement`.
-        k1: as in :func:`agreement`.
-
-    Returns:
-        Standard deviations of the turned ones; NaN where too few edges are seen.
-    """
+    """Standard deviations of a hypothesis above itself turned; NaN where few edges are seen."""
     turned = torch.cat([T[None], ring() @ T])
     table = torch.stack([agreement(view, turned, K, k1) for view in views]).numpy()
     table = table[np.isfinite(table[:, 0]) & (np.isfinite(table[:, 1:]).mean(1) > 0.5)]

@@ -13,47 +13,45 @@ from uncal.checking.layouts import Stamps
 from uncal.errors import CalibrationMissing, NothingPaired, RecordingError, RotationError
 from uncal.recordings.folder_recording import FolderRecording
 from uncal.recordings.frame import Recording
-from uncal.recordings.image_sizes import png_size
-from uncal.recordings.plain_folder import PlainFolder
+from uncal.recordings.sensor_files import image_size
 
-_PNG_END = b"IEND\xaeB`\x82"
-_JPEG_END = b"\xff\xd9"
 _SHORT = 0.5
 """A scan of less than this share of the usual size is cut off or half of a revolution."""
 
 
-def of_error(drive: str, error: RecordingError) -> Finding:
-    """A drive that could not be opened.
+_ERRORS: dict[type[RecordingError], tuple[str, str, str]] = {
+    CalibrationMissing: (
+        "calibration",
+        "the calibration beside the recordings",
+        "put the calibration files there, or correct their names",
+    ),
+    RotationError: (
+        "rotation",
+        "R·Rᵀ = I with determinant 1",
+        "write the matrix with all its digits, row by row; do not scale it",
+    ),
+    NothingPaired: (
+        "scans",
+        "frames with an image (or events) and a scan each",
+        "unpack the missing archive, or remove the drive",
+    ),
+}
+"""What a reader raises → kind of fault, what was expected, the remedy."""
 
-    Args:
-        drive: its name.
-        error: what the reader said.
-    """
-    kinds = {
-        CalibrationMissing: ("calibration", "the calibration beside the recordings"),
-        RotationError: ("rotation", "R·Rᵀ = I with determinant 1"),
-        NothingPaired: ("scans", "frames with an image (or events) and a scan each"),
-    }
-    kind, expected = kinds.get(type(error), ("truncated", "files that can be read"))
+
+def of_error(drive: str, error: RecordingError) -> Finding:
+    """A drive that could not be opened, because of what the reader said."""
+    unreadable = ("truncated", "files that can be read", "copy the files again")
+    kind, expected, remedy = _ERRORS.get(type(error), unreadable)
     if "UTC; the scans are from" in str(error):
         kind, expected = "clock", "scans from the time of the events"
-    remedy = {
-        "calibration": "put the calibration files there, or correct their names",
-        "rotation": "write the matrix with all its digits, row by row; do not scale it",
-        "scans": "unpack the missing archive, or remove the drive",
-        "clock": "put both sensors on one clock (t_offset, UTC)",
-    }.get(kind, "copy the files again")
+        remedy = "put both sensors on one clock (t_offset, UTC)"
     seen = " ".join(line.strip() for line in str(error).splitlines()[:2])
     return Finding(kind, drive, seen, expected, remedy)
 
 
 def of_files(drive: str, recording: Recording) -> list[Finding]:
-    """Incomplete frames, files that end too early, images of another size.
-
-    Args:
-        drive: name of the drive.
-        recording: as opened.
-    """
+    """Incomplete frames, files that end too early, images of another size."""
     found = []
     if recording.skipped:
         n, first = len(recording.skipped), next(iter(recording.skipped.values()))
@@ -67,7 +65,7 @@ def of_files(drive: str, recording: Recording) -> list[Finding]:
                 error=n > len(recording.frame_ids),
             )
         )
-    if not isinstance(recording, FolderRecording | PlainFolder):
+    if not isinstance(recording, FolderRecording):
         return found
     pairs = [recording.paths(frame) for frame in recording.frame_ids]
     images, scans = ([pair[side] for pair in pairs] for side in (0, 1))
@@ -87,13 +85,7 @@ def of_files(drive: str, recording: Recording) -> list[Finding]:
 
 
 def of_stamps(drive: str, stamps: Stamps, by_number: bool) -> list[Finding]:
-    """Clocks that run backwards or apart.
-
-    Args:
-        drive: name of the drive.
-        stamps: of its sensors.
-        by_number: images and scans are paired by number, so that their stamps must agree.
-    """
+    """Clocks that run backwards, or apart where images and scans are paired ``by_number``."""
     found = []
     for path, times in stamps.items():
         steps = np.diff(times)
@@ -132,16 +124,12 @@ def _ends_well(path: Path) -> bool:
     try:
         with path.open("rb") as file:
             head = file.read(4)
-            file.seek(0, 2)
-            file.seek(max(0, file.tell() - 64))
+            file.seek(max(0, path.stat().st_size - 64))
             tail = file.read()
     except OSError:
         return False
-    if head.startswith(b"\x89PNG"):
-        return _PNG_END in tail
-    if head.startswith(b"\xff\xd8"):
-        return _JPEG_END in tail
-    return bool(head)
+    ends = {b"\x89PNG": b"IEND\xaeB`\x82", b"\xff\xd8": b"\xff\xd9"}
+    return bool(head) and all(end in tail for start, end in ends.items() if head.startswith(start))
 
 
 def _cut_scans(scans: Sequence[Path]) -> list[Path]:
@@ -154,7 +142,7 @@ def _cut_scans(scans: Sequence[Path]) -> list[Path]:
 
 
 def _sizes(drive: str, images: Sequence[Path], declared: tuple[int, int] | None) -> list[Finding]:
-    sizes = [png_size(path) for path in images]
+    sizes = [image_size(path) for path in images]
     known: NDArray[np.int64] = np.array([size for size in sizes if size], dtype=np.int64)
     if not len(known):
         return []

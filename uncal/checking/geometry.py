@@ -42,27 +42,14 @@ _USUAL = (
 
 
 class Judgement(NamedTuple):
-    """What the edges say of a drive.
+    """What the edges say of a drive."""
 
-    Attributes:
-        support: height of the declared extrinsic's peak; NaN where too few edges are seen.
-        repair: the repair that fits; None where nothing needs one, or none fits.
-    """
-
-    support: float
-    repair: Hypothesis | None
+    support: float  # height of the declared extrinsic's peak; NaN where too few edges are seen
+    repair: Hypothesis | None  # the repair that fits; None where nothing needs one, or none fits
 
 
 def judge(views: Sequence[View]) -> Judgement:
-    """Compare what is declared with its repairs.
-
-    Args:
-        views: frames of one drive.
-
-    Returns:
-        The judgement; a repair is named only where its peak is high and it beats what is declared
-        in nearly all frames.
-    """
+    """Compare what is declared with its repairs; one is named only where it is clearly better."""
     first = views[0]
     declared = Hypothesis("", "", "", first.T)
     support = peak_height(views, declared.T)
@@ -74,13 +61,7 @@ def judge(views: Sequence[View]) -> Judgement:
 
 
 def finding(drive: str, judgement: Judgement, in_view: bool) -> list[Finding]:
-    """The judgement in words.
-
-    Args:
-        drive: name of the drive.
-        judgement: of its views.
-        in_view: whether any point of the sweeps is in the image, as declared.
-    """
+    """The judgement in words; ``in_view``: any point is in the image, as declared."""
     support, repair = judgement
     declared = f"{support:.1f} σ"
     if np.isnan(support):
@@ -110,12 +91,7 @@ def finding(drive: str, judgement: Judgement, in_view: bool) -> list[Finding]:
 
 
 def of_units(drive: str, points: NDArray[np.float32]) -> Finding | None:
-    """Points in millimetres, by their ranges alone: a projection does not tell.
-
-    Args:
-        drive: name of the drive.
-        points: (N, 3 or more) of any frame.
-    """
+    """Points in millimetres, by their ranges alone: a projection does not tell."""
     usual = float(np.median(np.linalg.norm(points[:, :3], axis=1)))
     if usual < _FAR_M:
         return None

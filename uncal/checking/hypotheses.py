@@ -47,11 +47,7 @@ class Hypothesis(NamedTuple):
 
 
 def hypotheses(view: View) -> list[Hypothesis]:
-    """All that are worth a look, likely ones first.
-
-    Args:
-        view: any frame of the drive.
-    """
+    """All that are worth a look in any frame of a drive, likely ones first."""
     T, K, link = view.T, view.K, view.link
     rest = T @ torch.linalg.inv(link)
     width = view.strength.shape[2]
@@ -173,13 +169,6 @@ def degrees_read_as_radians(view: View, rough: View) -> list[Hypothesis]:
     An angle of a degrees read as a radians is known modulo 2π: the true one is one of a + 2πk, in
     degrees, a lattice of 6.28° per axis. Of all its rotations (R = Rz·Ry·Rx) that leave the LiDAR
     upright in the image, those remain whose edges fit best in one frame.
-
-    Args:
-        view: the frame.
-        rough: the same with few edges.
-
-    Returns:
-        At most :data:`_KEPT`.
     """
     roll, pitch, yaw = matrix_to_euler(view.link[:3, :3]).double().tolist()
     turns = 2 * np.pi * np.arange(-_TURNS, _TURNS + 1)

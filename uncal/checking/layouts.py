@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -17,11 +17,11 @@ from uncal.recordings import dsec_layout, kitti, kitti_odometry
 from uncal.recordings.bag_stream import is_bag
 from uncal.recordings.calibration_files import read_calibration_file
 from uncal.recordings.dsec import Dsec
-from uncal.recordings.folder_listing import contents
+from uncal.recordings.folder_listing import RIG_FILE, layout_of
 from uncal.recordings.frame import Recording
 from uncal.recordings.kitti import KittiRaw
 from uncal.recordings.kitti_odometry import KittiOdometry
-from uncal.recordings.plain_calibration import FILE, read_rig
+from uncal.recordings.plain_calibration import read_rig
 from uncal.recordings.plain_folder import STAMPS, PlainFolder, find_drives
 from uncal.recordings.sensor_files import read_clock_times, read_second_times
 
@@ -53,14 +53,7 @@ class Drive:
 
 
 def find_layout(root: Path, camera: str | None) -> tuple[str, list[Drive]]:
-    """Recognise a folder.
-
-    Args:
-        root: of the recordings.
-        camera: which one; None: the first that was recorded, colour before grey.
-
-    Returns:
-        Name of the layout and its drives.
+    """Name of the layout of a folder, and its drives; camera None: the first, colour first.
 
     Raises:
         RecordingError: it is none of the layouts.
@@ -68,82 +61,65 @@ def find_layout(root: Path, camera: str | None) -> tuple[str, list[Drive]]:
     """
     if is_bag(root):
         return "bag", [Drive(root.name, partial(BagRecording, root, camera))]
-    if not root.is_dir():
-        raise RecordingError(f"{root} is no folder of recordings and no bag.")
-    if (root / FILE).is_file() or any(root.glob(f"*/{FILE}")):
+    layout = layout_of(root, "recordings")
+    if layout == "folder":
         return "plain folder", [_plain(root, folder, camera) for folder in find_drives(root)]
-    if (root / "sequences").is_dir():
-        return "KITTI odometry", _odometry(root, camera)
-    try:
-        folders = dsec_layout.find_sequences(root)
-        return "DSEC", [_dsec_drive(root, folder, camera) for folder in folders.values()]
-    except RecordingError:
-        pass
-    try:
-        return "KITTI raw", _raw(root, camera)
-    except RecordingError as error:
-        raise RecordingError(
-            f"{root} has none of the known layouts; found {contents(root)}. Expected one of\n"
-            "  plain folder     <root>/rig.yaml and <root>/<drive>/<sensor>/… (docs/own-rig.md)\n"
-            "  KITTI raw        <root>/2011_09_26/2011_09_26_drive_0001_sync/…\n"
-            "  KITTI odometry   <root>/sequences/00/…\n"
-            "  bag              <root>.bag, .mcap, .db3 or a folder with metadata.yaml\n"
-            "  DSEC             <root>/zurich_city_04_a/events/… and <root>/data/zurich_city_04/…\n"
-            f"As KITTI raw: {error}"
-        ) from error
+    if layout == "kitti":
+        return "KITTI raw", [_raw(root, name, camera) for name in kitti.find_drives(root)]
+    if layout == "kitti_odometry":
+        names = kitti_odometry.find_sequences(root)
+        return "KITTI odometry", [_odometry(root, name, camera) for name in names]
+    folders = dsec_layout.find_sequences(root).values()
+    return "DSEC", [_dsec(root, folder, camera) for folder in folders]
 
 
-def _raw(root: Path, camera: str | None) -> list[Drive]:
-    drives = []
-    for name in kitti.find_drives(root):
-        folder = root / name[:10] / name
-        chosen = camera or _first(folder, ("image_02", "image_03", "image_00", "image_01"))
-        drives.append(
-            Drive(
-                name,
-                partial(KittiRaw, root, chosen, drives=[name]),
-                partial(
-                    _read_stamps,
-                    read_clock_times,
-                    {
-                        chosen: folder / chosen / "timestamps.txt",
-                        "velodyne_points": folder / "velodyne_points" / "timestamps.txt",
-                    },
-                ),
-                partial(_velo_to_cam, root / name[:10] / "calib_velo_to_cam.txt"),
-            )
-        )
-    return drives
-
-
-def _odometry(root: Path, camera: str | None) -> list[Drive]:
-    drives = []
-    for name in kitti_odometry.find_sequences(root):
-        folder = root / "sequences" / name
-        chosen = camera or _first(folder, ("image_2", "image_3", "image_0", "image_1"))
-        open_it = partial(KittiOdometry, root, [name], chosen)
-        files = {"times": folder / "times.txt"}
-        stamps = partial(_read_stamps, read_second_times, files)
-        drives.append(Drive(name, open_it, stamps, partial(_Tr, folder / "calib.txt")))
-    return drives
-
-
-def _dsec_drive(root: Path, folder: dsec_layout.SequenceFolder, side: str | None) -> Drive:
-    name = folder.name
+def _raw(root: Path, name: str, camera: str | None) -> Drive:
+    folder = root / name[:10] / name
+    chosen = camera or _first(folder, ("image_02", "image_03", "image_00", "image_01"))
+    files = [folder / sensor / "timestamps.txt" for sensor in (chosen, "velodyne_points")]
     return Drive(
         name,
-        partial(Dsec, root, _DSEC_WINDOW_MS, _DSEC_MIN_EVENTS, [name], side or "left"),
-        link=partial(_from_lidar_camera, folder.cam_to_lidar),
+        partial(KittiRaw, root, chosen, drives=[name]),
+        partial(_read_stamps, read_clock_times, files),
+        partial(_velo_to_cam, root / name[:10] / "calib_velo_to_cam.txt"),
     )
+
+
+def _odometry(root: Path, name: str, camera: str | None) -> Drive:
+    folder = root / "sequences" / name
+    chosen = camera or _first(folder, ("image_2", "image_3", "image_0", "image_1"))
+    return Drive(
+        name,
+        partial(KittiOdometry, root, [name], chosen),
+        partial(_read_stamps, read_second_times, [folder / "times.txt"]),
+        partial(_Tr, folder / "calib.txt"),
+    )
+
+
+def _dsec(root: Path, folder: dsec_layout.SequenceFolder, side: str | None) -> Drive:
+    wanted = (_DSEC_WINDOW_MS, _DSEC_MIN_EVENTS, [folder.name], side or "left")
+    link = partial(_from_lidar_camera, folder.cam_to_lidar)
+    return Drive(folder.name, partial(Dsec, root, *wanted), link=link)
+
+
+def _plain(root: Path, folder: Path, camera: str | None) -> Drive:
+    name = f"{folder.parent.name}/{folder.name}"
+    stamps = partial(_read_stamps, read_second_times, sorted(folder.glob(f"*/{STAMPS}")))
+    try:
+        by_number = read_rig(folder.parent / RIG_FILE).tolerance_s is None
+    except RecordingError:  # said when the drive is opened
+        by_number = True
+    read = partial(PlainFolder, root, camera, drives=[name])
+    return Drive(name, read, stamps, by_number=by_number)
 
 
 def _velo_to_cam(path: Path) -> NDArray[np.float64]:
     known = read_calibration_file(path)
-    return np.vstack([np.column_stack([known["R"].reshape(3, 3), known["T"]]), [0, 0, 0, 1]])
+    return np.vstack([np.column_stack([known["R"], known["T"]]), [0, 0, 0, 1]])
 
 
 def _Tr(path: Path) -> NDArray[np.float64]:
-    return np.vstack([read_calibration_file(path)["Tr"].reshape(3, 4), [0, 0, 0, 1]])
+    return np.vstack([read_calibration_file(path)["Tr"], [0, 0, 0, 1]])
 
 
 def _from_lidar_camera(path: Path) -> NDArray[np.float64]:
@@ -151,21 +127,9 @@ def _from_lidar_camera(path: Path) -> NDArray[np.float64]:
     return np.asarray(np.linalg.inv(np.array(content["T_lidar_camRect1"], dtype=np.float64)))
 
 
-def _plain(root: Path, folder: Path, camera: str | None) -> Drive:
-    name = f"{folder.parent.name}/{folder.name}"
-    read = partial(PlainFolder, root, camera, drives=[name])
-    files = {str(path): path for path in sorted(folder.glob(f"*/{STAMPS}"))}
-    stamps = partial(_read_stamps, read_second_times, files)
-    try:
-        by_number = read_rig(folder.parent / FILE).tolerance_s is None
-    except RecordingError:  # said when the drive is opened
-        by_number = True
-    return Drive(name, read, stamps, by_number=by_number)
-
-
 def _first(folder: Path, cameras: tuple[str, ...]) -> str:
     return next((camera for camera in cameras if (folder / camera).is_dir()), cameras[0])
 
 
-def _read_stamps(read: Callable[[Path], NDArray[np.float64]], files: Mapping[str, Path]) -> Stamps:
-    return {str(path): read(path) for path in files.values() if path.is_file()}
+def _read_stamps(read: Callable[[Path], NDArray[np.float64]], paths: Sequence[Path]) -> Stamps:
+    return {str(path): read(path) for path in paths if path.is_file()}

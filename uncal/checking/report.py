@@ -16,12 +16,7 @@ _LEGEND = "support: peak of the declared extrinsic over itself turned by 2° to 
 
 
 def as_table(root: Path, checked: Checked) -> str:
-    """Drives, then each fault with what was seen, what was expected and the remedy.
-
-    Args:
-        root: the folder.
-        checked: what is known of it.
-    """
+    """Drives, then each fault with what was seen, what was expected and the remedy."""
     reports = checked.reports
     name = max([len("drive"), *(len(report.drive) for report in reports)])
     lines = [f"{root}: {checked.layout}, {len(reports)} drives", ""]
@@ -52,12 +47,7 @@ def as_table(root: Path, checked: Checked) -> str:
 
 
 def as_json(root: Path, checked: Checked) -> str:
-    """The same for machines; a support of null means that edges were not compared.
-
-    Args:
-        root: the folder.
-        checked: what is known of it.
-    """
+    """The same for machines; a support of null means that edges were not compared."""
     drives = []
     for report in checked.reports:
         content = asdict(report)

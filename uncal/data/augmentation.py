@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Annotated, ClassVar
 
 import torch
 from torch import Tensor
@@ -11,22 +12,16 @@ from torch import Tensor
 from uncal.data.camera_rotation import rotate_cameras
 from uncal.data.dataset import Batch
 from uncal.edges.sweep import KIND, N_ACROSS, SIDE
-from uncal.errors import ConfigurationError
+from uncal.settings.group import SettingsGroup
+from uncal.settings.rules import number
 
 
 def mirror(batch: Batch, which: Tensor) -> Batch:
-    """Mirror scenes left-right: image or events, camera matrix, sweep and extrinsic together.
+    """Mirror samples where (B,) ``which`` says: camera, its matrix, sweep and extrinsic together.
 
     With M the reflection of the camera's x axis and L of the LiDAR's y axis, the mirrored rig has
     ``T' = M · T · L``, again a rigid transform, and sees the mirrored scene exactly as the true
     rig sees the true one. It doubles the scenes and the rigs.
-
-    Args:
-        batch: B samples.
-        which: (B,) bool, which samples to mirror.
-
-    Returns:
-        The batch, mirrored where asked.
     """
     width = batch.camera.shape[-1]
     camera = torch.where(which[:, None, None, None], batch.camera.flip(-1), batch.camera)
@@ -46,7 +41,7 @@ def mirror(batch: Batch, which: Tensor) -> Batch:
 
 
 @dataclass(frozen=True)
-class Augmentation:
+class Augmentation(SettingsGroup):
     """What happens to a training batch before it is decalibrated.
 
     Attributes:
@@ -57,27 +52,11 @@ class Augmentation:
             :mod:`uncal.data.camera_rotation`.
     """
 
-    mirror: float
-    brightness: float
-    contrast: float
-    rotation_deg: float = 0.0
-
-    def __post_init__(self) -> None:
-        """Check the bounds.
-
-        Raises:
-            ConfigurationError: a number is out of its range.
-        """
-        for key, value, top in (
-            ("mirror", self.mirror, 1.0),
-            ("brightness", self.brightness, 1.0),
-            ("contrast", self.contrast, 1.0),
-            ("rotation_deg", self.rotation_deg, 20.0),
-        ):
-            if not 0.0 <= value <= top:
-                raise ConfigurationError(
-                    f"augmentation.{key}={value}: expected a number in [0, {top:g}]"
-                )
+    key: ClassVar[str] = "augmentation"
+    mirror: Annotated[float, number(0, 1)]
+    brightness: Annotated[float, number(0, 1)]
+    contrast: Annotated[float, number(0, 1)]
+    rotation_deg: Annotated[float, number(0, 20)] = 0.0
 
     def __call__(self, batch: Batch) -> Batch:
         """Augment a batch with torch's global generator."""

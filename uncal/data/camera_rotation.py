@@ -66,16 +66,7 @@ def rotate_cameras(batch: Batch, angles: Tensor, largest: float) -> Batch:
 
 
 def margins(K: Tensor, size: tuple[int, int], largest: float) -> tuple[int, int]:
-    """Rows and columns to crop on each side, so that no rotation shows what the image has not.
-
-    Args:
-        K: (B, 3, 3) camera matrices, pixels.
-        size: (H, W) of the image.
-        largest: bound of each of the three angles, radians.
-
-    Returns:
-        Rows above and below, columns on the left and right.
-    """
+    """Rows and columns to crop on each side, so that no rotation shows what the image has not."""
     focal = float(K[:, :2, :2].max())
     height, width = size
     # A ray at the border moves by f·θ·(1 + x²) for a turn sideways, and by θ times the distance

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
+from torch.nn.utils.rnn import pad_sequence
 from torch.utils.data import Dataset
 
 from uncal.data.culling import frustum_mask
@@ -94,17 +95,9 @@ class Batch(NamedTuple):
         return self._map(Tensor.pin_memory)
 
     def _map(self, function: Callable[[Tensor], Tensor]) -> Batch:
-        fixed = self.decalibration
-        return self._replace(
-            unit_index=function(self.unit_index),
-            unit=function(self.unit),
-            camera=function(self.camera),
-            points=function(self.points),
-            edges=function(self.edges),
-            K=function(self.K),
-            T_cam_lidar=function(self.T_cam_lidar),
-            decalibration=None if fixed is None else function(fixed),
-        )
+        tensors = {k: v for k, v in self._asdict().items() if isinstance(v, Tensor)}
+        moved: dict[str, Any] = {name: function(tensor) for name, tensor in tensors.items()}
+        return self._replace(**moved)
 
 
 Item: TypeAlias = "list[Sample | SkippedFrame]"
@@ -182,12 +175,7 @@ class FrameDataset(Dataset[Item]):
             return SkippedFrame(frame_id, str(error))
 
     def sample(self, frame: Frame, unit_index: int, decalibration: Tensor | None) -> Sample:
-        """A frame at the network's size and culled.
-
-        Args:
-            frame: as a recording loads it.
-            unit_index: number of its unit in the split.
-            decalibration: (6,) fixed draw, or None.
+        """A frame at the network's size and culled, with its unit and (6,) fixed decalibration.
 
         Raises:
             FrameError: the frame's image cannot be brought to the network's size.
@@ -222,17 +210,8 @@ class FrameDataset(Dataset[Item]):
         self, points: NDArray[np.float32], frame: Frame, K: NDArray[np.float64]
     ) -> NDArray[np.float32]:
         """Those that some decalibration within the range can bring into the image."""
-        reach = self.decalibration
-        return points[
-            frustum_mask(
-                points[:, :3],
-                frame.T_cam_lidar,
-                K,
-                self.image_size,
-                reach.rotation,
-                reach.translation,
-            )
-        ]
+        reach = (self.decalibration.rotation, self.decalibration.translation)
+        return points[frustum_mask(points[:, :3], frame.T_cam_lidar, K, self.image_size, *reach)]
 
     def _camera(self, frame: Frame) -> tuple[Tensor, NDArray[np.float64]]:
         """The camera's tensor at the network's size, and the camera matrix that goes with it."""
@@ -251,12 +230,7 @@ class FrameDataset(Dataset[Item]):
         return drawn.clamp(-_LARGEST, _LARGEST).half(), K
 
     def fit(self, source: tuple[int, int], K: NDArray[np.float64]) -> Fit:
-        """How a sensor's image comes to the network's size.
-
-        Args:
-            source: (h, w) of the sensor's image, pixels.
-            K: (3, 3) its camera matrix, pixels.
-        """
+        """How a sensor's image of (h, w) with the camera matrix K comes to the network's size."""
         if self.focal_px is None:
             return fit(source, self.image_size)
         return fit_focal(source, float(K[0, 0]), self.focal_px, self.image_size)
@@ -266,9 +240,6 @@ def collate(items: Sequence[Item]) -> Batch:
     """Stack the readable samples; a batch of none has B = 0.
 
     A window of which a frame cannot be read goes on with the others.
-
-    Returns:
-        The batch, with the unreadable frames in ``skipped``.
     """
     frames = [frame for item in items for frame in item]
     skipped = [frame for frame in frames if isinstance(frame, SkippedFrame)]
@@ -280,24 +251,20 @@ def collate(items: Sequence[Item]) -> Batch:
     indices = torch.tensor([sample.unit_index for sample in samples])
     unit_index, unit = torch.unique_consecutive(indices, return_inverse=True)
     first = [samples[i] for i in range(len(samples)) if i == 0 or unit[i] != unit[i - 1]]
-    longest = max(len(sample.points) for sample in samples)
-    points = torch.full((len(samples), longest, 4), float("nan"))
-    for row, sample in zip(points, samples, strict=True):
-        row[: len(sample.points)] = sample.points
-    most = max(len(sample.edges) for sample in samples)
-    edges = torch.full((len(samples), most, samples[0].edges.shape[1]), float("nan"))
-    for row, sample in zip(edges, samples, strict=True):
-        row[: len(sample.edges)] = sample.edges
     fixed = [sample.decalibration for sample in first if sample.decalibration is not None]
     return Batch(
         unit_index=unit_index,
         unit=unit,
         frames=[sample.frame for sample in samples],
         camera=torch.stack([sample.camera for sample in samples]),
-        points=points,
-        edges=edges,
+        points=_padded([sample.points for sample in samples]),
+        edges=_padded([sample.edges for sample in samples]),
         K=torch.stack([sample.K for sample in samples]),
         T_cam_lidar=torch.stack([sample.T_cam_lidar for sample in samples]),
         decalibration=torch.stack(fixed) if fixed else None,
         skipped=skipped,
     )
+
+
+def _padded(rows: list[Tensor]) -> Tensor:
+    return pad_sequence(rows, batch_first=True, padding_value=float("nan"))

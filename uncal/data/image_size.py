@@ -38,14 +38,7 @@ class Fit:
         )
 
     def camera_matrix(self, K: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The camera matrix of the result.
-
-        Args:
-            K: (3, 3) that of the sensor's image, pixels.
-
-        Returns:
-            (3, 3), a new array.
-        """
+        """(3, 3) camera matrix of the result, from that of the sensor's image, pixels."""
         to = self.pixel_map
         K = K.copy()
         K[0] *= to.sx
@@ -56,14 +49,7 @@ class Fit:
 
 
 def fit(source: tuple[int, int], size: tuple[int, int]) -> Fit:
-    """Scale, aspect kept, until ``size`` is covered; crop the rest evenly on both sides.
-
-    Args:
-        source: (h, w) of the sensor's image, pixels.
-        size: (H, W) wanted, pixels.
-
-    Returns:
-        How; whole pixels throughout.
+    """Scale (h, w), aspect kept, until (H, W) is covered; crop the rest evenly on both sides.
 
     Raises:
         ConfigurationError: ``size`` is not positive.
@@ -80,16 +66,7 @@ def fit(source: tuple[int, int], size: tuple[int, int]) -> Fit:
 
 
 def fit_focal(source: tuple[int, int], focal: float, wanted: float, size: tuple[int, int]) -> Fit:
-    """Scale to a focal length and crop the middle: what a pixel shows is then as in training.
-
-    Args:
-        source: (h, w) of the sensor's image, pixels.
-        focal: of that image, pixels.
-        wanted: focal length wanted, pixels.
-        size: (H, W) wanted, pixels; at most the scaled image.
-
-    Returns:
-        How; whole pixels throughout.
+    """Scale an image to a focal length, pixels, and crop the middle: a pixel shows what it should.
 
     Raises:
         FrameError: the scaled image is smaller than ``size``.
@@ -108,21 +85,13 @@ def fit_focal(source: tuple[int, int], focal: float, wanted: float, size: tuple[
     return Fit(source, resized, (resized[0] - size[0]) // 2, (resized[1] - size[1]) // 2)
 
 
-def size_at_focal(
-    source: tuple[int, int], focal: float, wanted: float, multiple: int = 8
-) -> tuple[int, int]:
-    """Largest (H, W), in multiples of some pixels, that an image covers at a focal length.
-
-    Args:
-        source: (h, w) of the sensor's image, pixels.
-        focal: of that image, pixels.
-        wanted: focal length wanted, pixels.
-        multiple: what both sides are multiples of.
+def size_at_focal(source: tuple[int, int], focal: float, wanted: float) -> tuple[int, int]:
+    """Largest (H, W), in multiples of 8, that an image of (h, w) covers at another focal length.
 
     >>> size_at_focal((375, 1242), 721.5, 460.0)
     (232, 792)
     """
-    height, width = (round(side * wanted / focal) // multiple * multiple for side in source)
+    height, width = (round(side * wanted / focal) // 8 * 8 for side in source)
     return height, width
 
 
@@ -132,16 +101,7 @@ def resize_and_crop(
     how: Fit,
     size: tuple[int, int],
 ) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
-    """Bring an image to the network's size.
-
-    Args:
-        image: (h, w, 3) uint8.
-        K: (3, 3) its camera matrix, pixels.
-        how: :func:`fit` or :func:`fit_focal` of the image's size.
-        size: (H, W) wanted, pixels.
-
-    Returns:
-        The (H, W, 3) image and its (3, 3) camera matrix.
+    """Bring an (h, w, 3) uint8 image and its (3, 3) camera matrix to the network's (H, W).
 
     >>> K = np.array([[100.0, 0, 49.5], [0, 100.0, 19.5], [0, 0, 1]])
     >>> how = fit((40, 100), (20, 40))

@@ -114,12 +114,7 @@ class InputSettings:
 
 
 def make_input(batch: Batch, decalibration: Tensor, settings: InputSettings) -> NetworkInput:
-    """Decalibrate, project and normalise a batch where it lies.
-
-    Args:
-        batch: B samples, on any device.
-        decalibration: (n, 6) of each unit, metres and radians.
-        settings: channels and scales.
+    """Decalibrate by (n, 6) of each unit, project and normalise a batch where it lies.
 
     Raises:
         ConfigurationError: the network reads rgb and the batch holds events, or the reverse.
@@ -151,15 +146,7 @@ def make_input(batch: Batch, decalibration: Tensor, settings: InputSettings) -> 
 
 
 def padded(edges: Tensor, rows: int) -> Tensor:
-    """Edges in a fixed number of rows, so that the shape never depends on the batch.
-
-    Args:
-        edges: (B, m, columns), of which any first part is a fair sample.
-        rows: M wanted.
-
-    Returns:
-        (B, M, columns).
-    """
+    """(B, m, columns) edges in a fixed number of rows, so that no shape depends on the batch."""
     edges = edges[:, :rows]
     missing = rows - edges.shape[1]
     return F.pad(edges, (0, 0, 0, missing), value=float("nan")) if missing else edges

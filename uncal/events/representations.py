@@ -8,17 +8,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Annotated, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from uncal.errors import ConfigurationError
 from uncal.events.grid import CHUNK, BorderedGrid, chunks, map_coordinates, nearest_cells
 from uncal.events.pixel_map import PixelMap
 from uncal.events.stream import Events
+from uncal.settings.group import SettingsGroup
+from uncal.settings.rules import number
 
 _ROUNDING = 1e-6
 """Relative differences that float32 may make up."""
@@ -81,7 +82,7 @@ class Histogram:
 
 
 @dataclass(frozen=True)
-class VoxelGrid:
+class VoxelGrid(SettingsGroup):
     r"""Signed events over space and time, interpolated in all three directions.
 
     .. math::
@@ -102,13 +103,9 @@ class VoxelGrid:
     [[[-0.375, -0.125]], [[-0.375, -0.125]]]
     """
 
-    bins: int
+    key: ClassVar[str] = "model.inputs.events"
+    bins: Annotated[int, number(1, 1000, whole=True)]
     normalize: bool
-
-    def __post_init__(self) -> None:
-        """Check the number of bins."""
-        if isinstance(self.bins, bool) or not isinstance(self.bins, int) or self.bins < 1:
-            raise ConfigurationError(f"bins is {self.bins!r}; expected a whole number from 1 up")
 
     @property
     def channels(self) -> int:
@@ -145,7 +142,7 @@ class VoxelGrid:
 
 
 @dataclass(frozen=True)
-class TimeSurface:
+class TimeSurface(SettingsGroup):
     r"""How recently each pixel last became darker (channel 0) and brighter (channel 1).
 
     .. math:: S(p, v, u) = \exp(-(t_1 - t_\text{last}(p, v, u)) / \tau)
@@ -162,12 +159,8 @@ class TimeSurface:
     tensor([[0.0000, 0.3679]])
     """
 
-    tau_us: float
-
-    def __post_init__(self) -> None:
-        """Check the time constant."""
-        if not (math.isfinite(self.tau_us) and self.tau_us > 0):
-            raise ConfigurationError(f"tau_us is {self.tau_us!r}; expected microseconds above 0")
+    key: ClassVar[str] = "model.inputs.events"
+    tau_us: Annotated[float, number(0, 1e9, above=True)]
 
     @property
     def channels(self) -> int:

@@ -9,17 +9,19 @@ from __future__ import annotations
 import hashlib
 import math
 from dataclasses import dataclass
+from typing import Annotated, ClassVar
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from uncal.errors import ConfigurationError
 from uncal.geometry import invert, pose_to_matrix
+from uncal.settings.group import SettingsGroup
+from uncal.settings.rules import number
 
 
 @dataclass(frozen=True)
-class DecalibrationRange:
+class DecalibrationRange(SettingsGroup):
     """Uniform decalibrations, independent per axis (the paper: ±1°, ±10 cm).
 
     Attributes:
@@ -27,23 +29,9 @@ class DecalibrationRange:
         translation_cm: bound of |x|, |y| and |z|, centimetres.
     """
 
-    rotation_deg: float
-    translation_cm: float
-
-    def __post_init__(self) -> None:
-        """Check the bounds.
-
-        Raises:
-            ConfigurationError: a bound is not a positive finite number, or rotations exceed 45°.
-        """
-        for key, value, top in (
-            ("rotation_deg", self.rotation_deg, 45.0),
-            ("translation_cm", self.translation_cm, 1000.0),
-        ):
-            if not 0.0 < value <= top:
-                raise ConfigurationError(
-                    f"decalibration.{key}={value}: expected a number in (0, {top:g}]"
-                )
+    key: ClassVar[str] = "decalibration"
+    rotation_deg: Annotated[float, number(0, 45, above=True)]
+    translation_cm: Annotated[float, number(0, 1000, above=True)]
 
     @property
     def rotation(self) -> float:
@@ -61,18 +49,11 @@ class DecalibrationRange:
         return torch.tensor([self.translation] * 3 + [self.rotation] * 3)
 
     def draw(self, n: int, device: torch.device | str = "cpu") -> Tensor:
-        """Draw from torch's global generator, as training does.
-
-        Returns:
-            (n, 6) decalibrations, metres and radians.
-        """
+        """(n, 6) in metres and radians from torch's global generator, as training does."""
         return (2.0 * torch.rand(n, 6, device=device) - 1.0) * self.bounds.to(device)
 
     def draw_for(self, seed: int, frame: str) -> Tensor:
-        """The decalibration of one frame: a pure function of its arguments, on any machine.
-
-        Returns:
-            (6,) float32 decalibration, metres and radians.
+        """(6,) float32 of one frame: a pure function of its arguments, on any machine.
 
         >>> r = DecalibrationRange(rotation_deg=1.0, translation_cm=10.0)
         >>> bool((r.draw_for(0, "a") == r.draw_for(0, "a")).all())

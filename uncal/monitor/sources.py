@@ -13,8 +13,8 @@ from omegaconf import OmegaConf
 from uncal.errors import ConfigurationError, FrameError, RecordingError
 from uncal.monitor.bag_source import BagSettings, bag_frames
 from uncal.recordings.bag_stream import is_bag
+from uncal.recordings.folder_listing import RIG_FILE
 from uncal.recordings.frame import Frame, FrameId, Recording
-from uncal.recordings.plain_calibration import FILE
 from uncal.settings.configuration import CONFIG_DIR
 
 POLL_S = 0.2
@@ -87,7 +87,7 @@ def open_recording(settings: SourceSettings) -> Recording:
         from uncal.recordings.kitti import KittiRaw
 
         return KittiRaw(root, settings.camera or "image_02", stride, drives)
-    if (root / FILE).is_file() or any((root / name / FILE).is_file() for name in names):
+    if (root / RIG_FILE).is_file() or any((root / name / RIG_FILE).is_file() for name in names):
         from uncal.recordings.plain_folder import PlainFolder
 
         return PlainFolder(root, settings.camera, None, drives, stride)
@@ -111,7 +111,7 @@ def open_recording(settings: SourceSettings) -> Recording:
     raise RecordingError(
         f"source={root}: none of the known layouts: KITTI raw (date folders such as 2011_09_26), "
         f"KITTI odometry (sequences/), DSEC (sequences with events/, and data/) or a rig of one's "
-        f"own ({FILE})"
+        f"own ({RIG_FILE})"
     )
 
 

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from uncal.errors import ConfigurationError, RecordingError
 from uncal.recordings.bag_stream import BagStream, Observation
-from uncal.recordings.plain_calibration import FILE, parse_transform, read_rig
+from uncal.recordings.folder_listing import RIG_FILE
+from uncal.recordings.plain_calibration import parse_transform, read_rig
 from uncal.recordings.plain_folder import STAMPS
 from uncal.recordings.sensor_files import write_image
 from uncal.system.progress import watched
@@ -22,10 +23,7 @@ _KNOWN = 1e-6
 
 
 def read_extrinsic(path: str | Path) -> NDArray[np.float64]:
-    """``T_cam_lidar`` of a YAML file.
-
-    Args:
-        path: of the file; 4×4, or in any form of ``extrinsics`` in ``rig.yaml``.
+    """``T_cam_lidar`` of a YAML file: 4×4, or any form of ``extrinsics`` in ``rig.yaml``.
 
     Raises:
         RecordingError: it cannot be read, or what it holds is no transform.
@@ -50,7 +48,7 @@ def write_folder(
     every: int = 1,
     progress: bool = True,
 ) -> Path:
-    """Write one drive, and ``rig.yaml`` if it is the first.
+    """Write one drive, and ``rig.yaml`` if it is the first; returns the drive's folder.
 
     Args:
         stream: of the bag.
@@ -61,9 +59,6 @@ def write_folder(
         T_cam_lidar: (4, 4) extrinsic, metres.
         every: keep every n-th pair.
         progress: show it.
-
-    Returns:
-        The drive's folder.
 
     Raises:
         ConfigurationError: there is no extrinsic, the drive exists, a name is none of a folder, or
@@ -93,8 +88,8 @@ def write_folder(
         n, damage = _write_pairs(pairs, partial / camera, partial / lidar, every)
         if n:
             if rig is not None:
-                (partial / FILE).write_text(rig, encoding="utf-8")
-                (partial / FILE).replace(root / FILE)
+                (partial / RIG_FILE).write_text(rig, encoding="utf-8")
+                (partial / RIG_FILE).replace(root / RIG_FILE)
             partial.rename(folder)
     finally:
         shutil.rmtree(partial, ignore_errors=True)
@@ -141,7 +136,7 @@ def _new_rig(
 ) -> str | None:
     """Text of the ``rig.yaml`` that the root lacks; None if it has the same already."""
     K, size = stream.lens.K_undistorted, stream.lens.size
-    path = root / FILE
+    path = root / RIG_FILE
     if path.is_file():
         rig = read_rig(path)
         known = rig.T_cam_lidar.get((camera, lidar))

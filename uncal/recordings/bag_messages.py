@@ -32,10 +32,7 @@ def stamp_ns(message: Any) -> int:  # noqa: ANN401  # rosbags makes the classes 
 
 
 def image_of(message: Any) -> NDArray[np.uint8]:  # noqa: ANN401
-    """Pixels of a sensor_msgs/Image or CompressedImage.
-
-    Returns:
-        (H, W, 3) uint8 RGB.
+    """(H, W, 3) uint8 RGB pixels of a sensor_msgs/Image or CompressedImage.
 
     Raises:
         ValueError: the encoding is not known, or the message is cut off.
@@ -65,11 +62,7 @@ def image_of(message: Any) -> NDArray[np.uint8]:  # noqa: ANN401
 
 
 def lens_of(message: Any, rectified: bool) -> Lens:  # noqa: ANN401
-    """Lens of a sensor_msgs/CameraInfo.
-
-    Args:
-        message: the CameraInfo.
-        rectified: the images are already undistorted, so that P holds and not K.
+    """Lens of a sensor_msgs/CameraInfo; of P, not K, where images are ``rectified`` already.
 
     Raises:
         ValueError: the distortion model is not known, or the camera was never calibrated.
@@ -94,16 +87,7 @@ def lens_of(message: Any, rectified: bool) -> Lens:  # noqa: ANN401
 def transform_between(
     transforms: Iterable[Any], target: str, source: str
 ) -> NDArray[np.float64] | None:
-    """``T_target_source`` along a tree of geometry_msgs/TransformStamped.
-
-    Args:
-        transforms: of /tf_static.
-        target: frame in which the result is.
-        source: frame from which it leads.
-
-    Returns:
-        (4, 4), metres; None where no chain leads there.
-    """
+    """(4, 4) ``T_target_source`` along a tree of TransformStamped, metres; None without a chain."""
     steps: dict[str, dict[str, NDArray[np.float64]]] = {}
     for stamped in transforms:
         parent, child = stamped.header.frame_id.strip("/"), stamped.child_frame_id.strip("/")

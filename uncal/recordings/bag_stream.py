@@ -11,9 +11,9 @@ from __future__ import annotations
 import struct
 from collections import Counter, deque
 from collections.abc import Iterator
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import numpy as np
@@ -87,7 +87,7 @@ def is_bag(path: Path) -> bool:
     return path.is_file() and path.suffix in SUFFIXES
 
 
-class BagStream:
+class BagStream(AbstractContextManager["BagStream"]):
     """Pairs the images and scans of a bag by their stamps while it is read; a context manager.
 
     Args:
@@ -149,16 +149,7 @@ class BagStream:
             raise
         self._brightest: float | None = None
 
-    def __enter__(self) -> BagStream:
-        """The stream itself."""
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Close the file."""
         self._reader.close()
 
@@ -219,8 +210,7 @@ class BagStream:
             if not len(points):
                 raise ValueError("no finite point in the cloud")
         except _DAMAGE as error:
-            self.counts["unreadable"] += 1
-            self.reasons[str(error)] += 1
+            self._note(error)
             yield Unpaired(scan[0] / 1e9, str(error))
             return
         self.counts["pairs"] += 1
@@ -234,6 +224,10 @@ class BagStream:
             n_dropped,
         )
 
+    def _note(self, error: Exception) -> None:
+        self.counts["unreadable"] += 1
+        self.reasons[str(error)] += 1
+
     def _stamped(self) -> Iterator[tuple[Connection, int, bytes]]:
         wanted = [self._image, self._points]
         try:
@@ -241,8 +235,7 @@ class BagStream:
                 try:
                     stamp = stamp_ns(self._reader.deserialize(raw, connection.msgtype))
                 except _DAMAGE as error:
-                    self.counts["unreadable"] += 1
-                    self.reasons[str(error)] += 1
+                    self._note(error)
                     continue
                 yield next(c for c in wanted if c.topic == connection.topic), stamp, raw
         except _DAMAGE as error:

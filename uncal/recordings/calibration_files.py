@@ -1,4 +1,4 @@
-"""KITTI's calibration text files and the chain from the LiDAR to one rectified camera.
+"""Calibration files: what all layouts share, and KITTI's chain from the LiDAR to a camera.
 
 KITTI projects a LiDAR point p by P_rect_0i · R_rect_00 · T_velo_to_cam · p. With
 P_rect_0i = K · [I | b], b = K⁻¹ · P_rect_0i[:, 3], the extrinsic of camera i is therefore
@@ -11,10 +11,12 @@ the colour cameras of KITTI it is some 3 mm off the projection that KITTI define
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import yaml  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 
 from uncal.errors import CalibrationMissing, RecordingError, RotationError
@@ -22,7 +24,7 @@ from uncal.errors import CalibrationMissing, RecordingError, RotationError
 _ROTATION_TOLERANCE = 1e-3
 """Largest entry of R·Rᵀ - I; KITTI prints seven digits, so a larger one is a damaged file."""
 
-_RESTORE = "Restore the file from KITTI's archive."
+_RESTORE = "Restore the file from the archive of its data set."
 
 
 @dataclass(frozen=True)
@@ -32,7 +34,7 @@ class CameraCalibration:
     Attributes:
         K: (3, 3) camera matrix, pixels.
         T_cam_lidar: (4, 4) true extrinsic, LiDAR → this camera, metres.
-        size: (H, W) of the images that K is for, pixels; None where the files do not say.
+        size: (H, W) of the images as recorded, pixels; None where the files do not say.
     """
 
     K: NDArray[np.float64]
@@ -40,133 +42,90 @@ class CameraCalibration:
     size: tuple[int, int] | None = None
 
 
-def read_calibration_file(path: Path) -> dict[str, NDArray[np.float64]]:
-    """Read ``key: numbers`` lines; lines whose values are not all numbers (dates) are left out.
-
-    Args:
-        path: a KITTI calibration text file.
-
-    Returns:
-        The numbers of each key, flat, in the file's order.
+def read_calibration_text(path: Path, source: str) -> str:
+    """The text of a calibration file; ``source`` is a sentence that says where to get it.
 
     Raises:
-        RecordingError: the file is missing or cannot be read.
+        CalibrationMissing: it is missing or cannot be read.
     """
     try:
-        text = path.read_text(encoding="utf-8", errors="replace")
+        return path.read_text(encoding="utf-8", errors="replace")
     except OSError as error:
         raise CalibrationMissing(
-            f"Cannot read the calibration file {path} ({error.strerror}). KITTI offers the "
-            "calibration as an archive of its own; unpack it over the recordings."
+            f"Cannot read the calibration file {path} ({error.strerror}). {source}"
         ) from error
-    values: dict[str, NDArray[np.float64]] = {}
-    for line in text.splitlines():
-        key, _, text_after = line.partition(":")
-        try:
-            numbers = np.array([float(number) for number in text_after.split()])
-        except ValueError:
-            continue
-        if numbers.size:
-            values[key.strip()] = numbers
-    return values
 
 
-def raw_calibration(date_folder: Path, camera: int) -> CameraCalibration:
-    """Calibration of one camera of a KITTI raw date folder.
-
-    Args:
-        date_folder: folder with ``calib_cam_to_cam.txt`` and ``calib_velo_to_cam.txt``.
-        camera: 0..3, the number of the image folder.
-
-    Returns:
-        K and T_cam_lidar of the rectified camera.
+def read_calibration_yaml(path: Path, source: str) -> object:
+    """The content of a YAML file; see :func:`read_calibration_text`.
 
     Raises:
-        RecordingError: a file or a key is missing or damaged.
+        RecordingError: it cannot be read, or is no YAML.
     """
-    cameras_path = date_folder / "calib_cam_to_cam.txt"
-    lidar_path = date_folder / "calib_velo_to_cam.txt"
-    cameras = read_calibration_file(cameras_path)
-    lidar = read_calibration_file(lidar_path)
-
-    T_cam0_lidar = np.eye(4)
-    T_cam0_lidar[:3, :3] = _rotation(lidar, "R", lidar_path)
-    T_cam0_lidar[:3, 3] = _matrix(lidar, "T", (3,), lidar_path)
-    T_rect0_cam0 = np.eye(4)
-    T_rect0_cam0[:3, :3] = _rotation(cameras, "R_rect_00", cameras_path)
-    projection = _matrix(cameras, f"P_rect_0{camera}", (3, 4), cameras_path)
-    calibration = _from_projection(projection, T_rect0_cam0 @ T_cam0_lidar, cameras_path)
-    return replace(calibration, size=_size(cameras, f"S_rect_0{camera}", cameras_path))
+    try:
+        return yaml.safe_load(read_calibration_text(path, source))
+    except yaml.YAMLError as error:
+        raise RecordingError(f"{path} is no YAML file; copy it again ({error}).") from error
 
 
-def odometry_calibration(path: Path, camera: int) -> CameraCalibration:
-    """Calibration of one camera of a KITTI odometry sequence.
-
-    Args:
-        path: the sequence's ``calib.txt`` with P0..P3 and Tr (LiDAR → rectified camera 0).
-        camera: 0..3, the number of the image folder.
-
-    Returns:
-        K and T_cam_lidar of the rectified camera.
-
-    Raises:
-        RecordingError: the file or a key is missing or damaged.
-    """
-    values = read_calibration_file(path)
-    if "Tr" not in values:
-        raise RecordingError(
-            f"{path} has no key 'Tr' (LiDAR → camera 0); keys there: {_listed(values)}. "
-            "Use the calib.txt of data_odometry_calib.zip, which has it."
-        )
-    T_rect0_lidar = np.eye(4)
-    T_rect0_lidar[:3] = _matrix(values, "Tr", (3, 4), path)
-    check_rotation(T_rect0_lidar[:3, :3], "'Tr'", path, _RESTORE)
-    projection = _matrix(values, f"P{camera}", (3, 4), path)
-    return _from_projection(projection, T_rect0_lidar, path)
-
-
-def _from_projection(
-    projection: NDArray[np.float64],  # (3, 4), P_rect_0i
-    T_rect0_lidar: NDArray[np.float64],  # (4, 4), LiDAR → rectified camera 0
-    path: Path,
-) -> CameraCalibration:
-    K = projection[:, :3].copy()
-    if not (K[0, 0] > 0 and K[1, 1] > 0 and K[2, 2] == 1):
-        raise RecordingError(
-            f"{path}: the projection matrix starts with {K.tolist()}, which is no camera matrix "
-            "[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]. {remedy}"
-        )
-    T_cam_rect0 = np.eye(4)
-    T_cam_rect0[:3, 3] = np.linalg.solve(K, projection[:, 3])
-    return CameraCalibration(K=K, T_cam_lidar=T_cam_rect0 @ T_rect0_lidar)
-
-
-def _size(values: dict[str, NDArray[np.float64]], key: str, path: Path) -> tuple[int, int] | None:
-    """(H, W) of the images after rectification; the file has width first."""
-    if key not in values:
-        return None
-    width, height = _matrix(values, key, (2,), path)
-    return round(height), round(width)
-
-
-def _matrix(
-    values: dict[str, NDArray[np.float64]], key: str, shape: tuple[int, ...], path: Path
+def numbers_at(
+    content: object, keys: str, shape: tuple[int, ...], path: Path
 ) -> NDArray[np.float64]:
-    if key not in values:
-        raise RecordingError(f"{path} has no key '{key}'; keys there: {_listed(values)}.")
-    numbers = values[key]
-    if numbers.size != np.prod(shape) or not np.isfinite(numbers).all():
+    """Finite numbers at a dotted key of nested mappings, such as ``extrinsics.T_10``.
+
+    Raises:
+        RecordingError: a key is missing, or there is something else.
+    """
+    parts = keys.split(".")
+    for depth, key in enumerate(parts, 1):
+        if not isinstance(content, Mapping) or key not in content:
+            there = ", ".join(map(str, content)) if isinstance(content, Mapping) else "none"
+            raise RecordingError(
+                f"{path} has no key '{'.'.join(parts[:depth])}'; keys there: {there}."
+            )
+        content = content[key]
+    return numbers(content, shape, path, keys)
+
+
+def numbers(
+    value: object, shape: tuple[int, ...] | None, path: Path, where: str
+) -> NDArray[np.float64]:
+    """Finite numbers of a shape; None: of any.
+
+    Raises:
+        RecordingError: the value is something else; the message names file and key.
+    """
+    try:
+        # YAML 1.1 takes 1e-05, without a dot, for a word; numpy takes the word for a number.
+        array = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        array = np.array(np.nan)
+    if not np.isfinite(array).all() or shape not in (None, array.shape):
+        shown = value.tolist() if isinstance(value, np.ndarray) else value
         raise RecordingError(
-            f"{path}: '{key}' holds {numbers.size} numbers {numbers.tolist()}, "
-            f"expected {np.prod(shape)} finite ones."
+            f"{path}: '{where}' is {shown}, expected finite numbers"
+            + (f" of shape {shape}." if shape else ".")
         )
-    return numbers.reshape(shape)
+    return array
 
 
-def _rotation(values: dict[str, NDArray[np.float64]], key: str, path: Path) -> NDArray[np.float64]:
-    rotation = _matrix(values, key, (3, 3), path)
-    check_rotation(rotation, f"'{key}'", path, _RESTORE)
-    return rotation
+def rotation_at(content: object, keys: str, path: Path) -> NDArray[np.float64]:
+    """(4, 4) transform of a (3, 3) rotation at a dotted key; raises as :func:`numbers_at`."""
+    T = np.eye(4)
+    T[:3, :3] = numbers_at(content, keys, (3, 3), path)
+    check_rotation(T[:3, :3], f"'{keys}'", path, _RESTORE)
+    return T
+
+
+def transform_at(content: object, keys: str, path: Path) -> NDArray[np.float64]:
+    """(4, 4) rigid transform at a dotted key; raises as :func:`numbers_at`."""
+    T = numbers_at(content, keys, (4, 4), path)
+    check_rotation(T[:3, :3], f"'{keys}'", path, _RESTORE)
+    if not np.array_equal(T[3], (0, 0, 0, 1)):
+        raise RecordingError(
+            f"{path}: the last row of '{keys}' is {T[3].tolist()}, expected [0, 0, 0, 1]."
+        )
+    return T
 
 
 def check_rotation(rotation: NDArray[np.float64], name: str, path: Path, remedy: str) -> None:
@@ -183,5 +142,87 @@ def check_rotation(rotation: NDArray[np.float64], name: str, path: Path, remedy:
         )
 
 
-def _listed(values: dict[str, NDArray[np.float64]]) -> str:
-    return ", ".join(sorted(values)) or "none"
+def is_camera_matrix(K: NDArray[np.float64]) -> bool:
+    """Whether an array is [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] with focal lengths above 0."""
+    return K.shape == (3, 3) and bool(K[0, 0] > 0 and K[1, 1] > 0 and K[2, 2] == 1)
+
+
+def height_width(width_height: NDArray[np.float64]) -> tuple[int, int]:
+    """(H, W) of the two numbers that calibration files have width first."""
+    return round(float(width_height[1])), round(float(width_height[0]))
+
+
+def read_calibration_file(path: Path) -> dict[str, NDArray[np.float64]]:
+    """KITTI's ``key: numbers`` lines; 9 and 12 numbers are (3, 3) and (3, 4), dates left out.
+
+    Raises:
+        RecordingError: the file is missing or cannot be read.
+    """
+    text = read_calibration_text(
+        path,
+        "KITTI offers the calibration as an archive of its own; unpack it over the recordings.",
+    )
+    values: dict[str, NDArray[np.float64]] = {}
+    for line in text.splitlines():
+        key, _, text_after = line.partition(":")
+        try:
+            found = np.array([float(number) for number in text_after.split()])
+        except ValueError:
+            continue
+        if found.size:
+            values[key.strip()] = found.reshape(3, -1) if found.size in (9, 12) else found
+    return values
+
+
+def raw_calibration(date_folder: Path, camera: int) -> CameraCalibration:
+    """Calibration of camera 0..3, rectified, of a KITTI raw date folder with its two files.
+
+    Raises:
+        RecordingError: a file or a key is missing or damaged.
+    """
+    path, lidar_path = date_folder / "calib_cam_to_cam.txt", date_folder / "calib_velo_to_cam.txt"
+    cameras, lidar = read_calibration_file(path), read_calibration_file(lidar_path)
+    T_cam0_lidar = rotation_at(lidar, "R", lidar_path)
+    T_cam0_lidar[:3, 3] = numbers_at(lidar, "T", (3,), lidar_path)
+    T_rect0_lidar = rotation_at(cameras, "R_rect_00", path) @ T_cam0_lidar
+    size = None
+    if f"S_rect_0{camera}" in cameras:
+        size = height_width(numbers_at(cameras, f"S_rect_0{camera}", (2,), path))
+    return _from_projection(cameras, f"P_rect_0{camera}", T_rect0_lidar, path, size)
+
+
+def odometry_calibration(path: Path, camera: int) -> CameraCalibration:
+    """Calibration of camera 0..3, rectified, by a sequence's ``calib.txt`` (P0..P3 and Tr).
+
+    Raises:
+        RecordingError: the file or a key is missing or damaged.
+    """
+    values = read_calibration_file(path)
+    if "Tr" not in values:
+        raise RecordingError(
+            f"{path} has no key 'Tr' (LiDAR → camera 0); keys there: {', '.join(values)}. "
+            "Use the calib.txt of data_odometry_calib.zip, which has it."
+        )
+    T_rect0_lidar = np.eye(4)
+    T_rect0_lidar[:3] = numbers_at(values, "Tr", (3, 4), path)
+    check_rotation(T_rect0_lidar[:3, :3], "'Tr'", path, _RESTORE)
+    return _from_projection(values, f"P{camera}", T_rect0_lidar, path)
+
+
+def _from_projection(
+    values: Mapping[str, NDArray[np.float64]],
+    key: str,  # of P_rect_0i
+    T_rect0_lidar: NDArray[np.float64],  # (4, 4), LiDAR → rectified camera 0
+    path: Path,
+    size: tuple[int, int] | None = None,
+) -> CameraCalibration:
+    projection = numbers_at(values, key, (3, 4), path)
+    K = projection[:, :3].copy()
+    if not is_camera_matrix(K):
+        raise RecordingError(
+            f"{path}: '{key}' starts with {K.tolist()}, which is no camera matrix "
+            f"[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]. {_RESTORE}"
+        )
+    T_cam_rect0 = np.eye(4)
+    T_cam_rect0[:3, 3] = np.linalg.solve(K, projection[:, 3])
+    return CameraCalibration(K, T_cam_rect0 @ T_rect0_lidar, size)

@@ -8,27 +8,31 @@ from __future__ import annotations
 
 import hashlib
 import logging
-import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import islice
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from uncal.errors import ConfigurationError, RecordingError
+from uncal.errors import RecordingError
 from uncal.recordings.calibration_files import CameraCalibration
 from uncal.recordings.dsec_calibration import SIDES, event_camera_calibration
 from uncal.recordings.dsec_events import inspect_events, read_rectify_map
-from uncal.recordings.dsec_layout import SequenceFolder, find_sequences, remedy
+from uncal.recordings.dsec_layout import REMEDY, SequenceFolder, find_sequences
 from uncal.recordings.dsec_pairing import SCAN_TIMES, EventWindow, PairedSequence, pair
 from uncal.recordings.dsec_sequences import drive_of
-from uncal.recordings.folder_listing import choose
+from uncal.recordings.folder_listing import choose, one_of
+from uncal.recordings.folder_recording import check_stride
 from uncal.recordings.frame import Frame, FrameId
 from uncal.recordings.lidar_bag import LidarBag
 from uncal.recordings.scan_motion import SweepMotion
+from uncal.settings.rules import number, require
 
 log = logging.getLogger(__name__)
+
+T = TypeVar("T")
 
 
 class Dsec:
@@ -79,7 +83,11 @@ class Dsec:
         untwist: bool = True,
     ) -> None:
         """Find the sequences, read their calibration and index their scans; no event is read."""
-        _check(window_ms, min_events, side, stride, scan_time)
+        require("window_ms", window_ms, number(0.001, 60_000))
+        require("min_events", min_events, number(0, 1e9, whole=True))
+        one_of(side, list(SIDES), "side")
+        one_of(scan_time, SCAN_TIMES, "scan_time")
+        check_stride(stride)
         root = Path(root).expanduser()
         self.frame_ids: list[FrameId] = []
         self.skipped: dict[str, str] = {}
@@ -95,7 +103,10 @@ class Dsec:
 
         folders = find_sequences(root)
         chosen = choose({name: [name] for name in folders}, sequences, "sequences")
-        calibrations = _calibrate(folders.values(), side)
+        calibrations = {
+            name: _attempt(event_camera_calibration, it.cam_to_cam, it.cam_to_lidar, side)
+            for name, it in folders.items()
+        }
         rigs = _name_rigs(calibrations)
         reasons: set[type[RecordingError]] = set()
         for name in chosen:
@@ -111,13 +122,7 @@ class Dsec:
             raise kinds.pop()(self._nothing_found(root, len(chosen)))
 
     def load(self, frame_id: FrameId) -> Frame:
-        """Read one frame.
-
-        Args:
-            frame_id: one of :attr:`frame_ids`.
-
-        Returns:
-            The frame; non-finite points are dropped and counted. ``time`` is UNIX time.
+        """Read one of :attr:`frame_ids`; non-finite points are dropped and counted; UNIX time.
 
         Raises:
             FrameError: the scan or the events cannot be read, or there are too few events.
@@ -140,14 +145,13 @@ class Dsec:
         scan_time: str,
     ) -> None:
         bag = self._bag(folder)
-        if isinstance(calibration, RecordingError):
-            raise calibration
-        rectify_map = read_rectify_map(folder.rectify_map(side))
+        calibration = _given(calibration)
+        rectify_map = read_rectify_map(folder.of_camera(side, "rectify_map.h5"))
         _check_size(calibration, rectify_map, folder, side)
         # The sequences of one rig share theirs: 2.5 MB, in every worker.
         digest = hashlib.sha256(rectify_map.tobytes()).digest()
         rectify_map = self._maps.setdefault(digest, rectify_map)
-        events = inspect_events(folder.events(side), rectify_map)
+        events = inspect_events(folder.of_camera(side, "events.h5"), rectify_map)
         sequence = pair(events, bag, calibration, scan_time, self._motion(folder, bag))
         frames, poor = sequence.sort_out(self._window, self._stride)
         self._sequences[rig, folder.name] = sequence
@@ -171,14 +175,8 @@ class Dsec:
         """The bag of a sequence's drive, opened once; what is wrong with it is raised each time."""
         drive = drive_of(folder.name)
         if drive not in self._bags:
-            try:
-                self._bags[drive] = self._open_bag(drive, folder.bag)
-            except RecordingError as error:
-                self._bags[drive] = error
-        bag = self._bags[drive]
-        if isinstance(bag, RecordingError):
-            raise bag
-        return bag
+            self._bags[drive] = _attempt(self._open_bag, drive, folder.bag)
+        return _given(self._bags[drive])
 
     def _open_bag(self, drive: str, path: Path) -> LidarBag:
         bag = LidarBag(path)
@@ -201,22 +199,7 @@ class Dsec:
         some = [f"{name}: {reason}" for name, reason in islice(self.skipped.items(), 5)]
         more = [f"and {len(self.skipped) - 5} more"] if len(self.skipped) > 5 else []
         intro = f"No usable frame in {n_chosen} sequence(s) of {root}:"
-        return "\n  ".join([intro, *some, *more]) + f"\n{remedy(root)}"
-
-
-def _check(window_ms: float, min_events: int, side: str, stride: int, scan_time: str) -> None:
-    if not (math.isfinite(window_ms) and window_ms >= 0.001):
-        raise ConfigurationError(f"window_ms is {window_ms}, expected milliseconds, say 50.")
-    if min_events < 0:
-        raise ConfigurationError(f"min_events is {min_events}, expected at least 0.")
-    if side not in SIDES:
-        raise ConfigurationError(f"side is '{side}', expected one of {', '.join(SIDES)}.")
-    if stride < 1:
-        raise ConfigurationError(f"stride is {stride}, expected at least 1 (every scan).")
-    if scan_time not in SCAN_TIMES:
-        raise ConfigurationError(
-            f"scan_time is '{scan_time}', expected one of {', '.join(SCAN_TIMES)}."
-        )
+        return "\n  ".join([intro, *some, *more]) + f"\n{REMEDY.format(root=root)}"
 
 
 def _check_size(
@@ -228,24 +211,24 @@ def _check_size(
     found, expected = rectify_map.shape[:2], calibration.size
     if expected is not None and found != expected:
         raise RecordingError(
-            f"{folder.rectify_map(side)} is for {found[1]}×{found[0]} pixels, but "
+            f"{folder.of_camera(side, 'rectify_map.h5')} is for {found[1]}×{found[0]} pixels, but "
             f"{folder.cam_to_cam} has resolution {expected[1]}×{expected[0]}: they are of "
             "different recordings. Restore both from DSEC's archives."
         )
 
 
-def _calibrate(
-    folders: Iterable[SequenceFolder], side: str
-) -> dict[str, CameraCalibration | RecordingError]:
-    calibrations: dict[str, CameraCalibration | RecordingError] = {}
-    for folder in folders:
-        try:
-            calibrations[folder.name] = event_camera_calibration(
-                folder.cam_to_cam, folder.cam_to_lidar, side
-            )
-        except RecordingError as error:
-            calibrations[folder.name] = error
-    return calibrations
+def _attempt(action: Callable[..., T], *args: object) -> T | RecordingError:
+    """What an action gives, or why it fails."""
+    try:
+        return action(*args)
+    except RecordingError as error:
+        return error
+
+
+def _given(found: T | RecordingError) -> T:
+    if isinstance(found, RecordingError):
+        raise found
+    return found
 
 
 def _name_rigs(

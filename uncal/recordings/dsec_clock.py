@@ -41,13 +41,7 @@ def on_event_clock(
 
 
 def clock_time(time_us: int) -> str:
-    """Time of day for a message.
-
-    Args:
-        time_us: microseconds since some UTC midnight.
-
-    Returns:
-        ``HH:MM:SS`` in UTC.
+    """``HH:MM:SS`` in UTC, from microseconds since some UTC midnight, for a message.
 
     >>> clock_time(DAY_US + 3_661_000_000)
     '01:01:01'

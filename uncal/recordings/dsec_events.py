@@ -54,14 +54,7 @@ class EventFile:
     def count_at_most(
         self, start_us: NDArray[np.int64], end_us: NDArray[np.int64]
     ) -> NDArray[np.int64]:
-        """Upper bounds of the number of events in windows, from ``ms_to_idx`` alone.
-
-        Args:
-            start_us: (n,) first microseconds of the windows, without ``t_offset``.
-            end_us: (n,) their ends, exclusive.
-
-        Returns:
-            (n,) events of the whole milliseconds that the windows touch.
+        """(n,) upper bounds of the events in windows, exclusive of their ends, by ``ms_to_idx``.
 
         Raises:
             RecordingError: the file cannot be read.
@@ -74,14 +67,7 @@ class EventFile:
         return counts
 
     def read(self, start_us: int, end_us: int) -> Events:
-        """The events of one window.
-
-        Args:
-            start_us: first microsecond, without ``t_offset``.
-            end_us: end of the window, exclusive.
-
-        Returns:
-            The events, rectified, on the recording's clock.
+        """The events from ``start_us`` to ``end_us``, exclusive (without ``t_offset``), rectified.
 
         Raises:
             FrameError: the file cannot be read, or contradicts itself in this window.
@@ -122,14 +108,7 @@ class EventFile:
 
 
 def inspect_events(path: Path, rectify_map: NDArray[np.float32]) -> EventFile:
-    """Look at an ``events.h5`` without reading its events.
-
-    Args:
-        path: the file.
-        rectify_map: as :func:`read_rectify_map` returns it.
-
-    Returns:
-        Where its events lie in time.
+    """Look at where the events of an ``events.h5`` lie in time, without reading them.
 
     Raises:
         RecordingError: the file is missing, truncated or not of this layout.
@@ -153,10 +132,7 @@ def inspect_events(path: Path, rectify_map: NDArray[np.float32]) -> EventFile:
 
 
 def read_rectify_map(path: Path) -> NDArray[np.float32]:
-    """Read a ``rectify_map.h5``.
-
-    Returns:
-        (H, W, 2) float32: [y, x] → (x, y) of the rectified image, pixels.
+    """(H, W, 2) float32 of a ``rectify_map.h5``: [y, x] → (x, y) of the rectified image, pixels.
 
     Raises:
         RecordingError: the file is missing, truncated or not of this layout.

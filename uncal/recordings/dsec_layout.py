@@ -16,7 +16,17 @@ from pathlib import Path
 
 from uncal.errors import RecordingError
 from uncal.recordings.dsec_sequences import drive_of
-from uncal.recordings.folder_listing import contents, subfolders
+from uncal.recordings.folder_listing import contents, existing, subfolders
+
+REMEDY = """\
+Expected the DSEC layout:
+  {root}/zurich_city_04_a/events/left/events.h5 and rectify_map.h5
+  {root}/zurich_city_04_a/calibration/cam_to_cam.yaml and cam_to_lidar.yaml
+  {root}/data/zurich_city_04/lidar_imu.bag
+Get the events, the calibration and lidar_imu.zip from \
+https://dsec.ifi.uzh.ch/dsec-datasets/download/, or simulate a stand-in:
+  python -m uncal.simulate simulation=event_street root=data/dsec_standin
+and read it with dataset=dsec dataset.root=data/dsec_standin"""
 
 _PARENTS = ("", "train", "test")
 _PARTS = ("events", "calibration")
@@ -55,29 +65,18 @@ class SequenceFolder:
         own = self.path / "calibration" / "cam_to_lidar.yaml"
         return own if own.exists() else self.bag.with_name("cam_to_lidar.yaml")
 
-    def events(self, side: str) -> Path:
-        """The events of one camera."""
-        return self.path / "events" / side / "events.h5"
-
-    def rectify_map(self, side: str) -> Path:
-        """The rectification of one event camera."""
-        return self.path / "events" / side / "rectify_map.h5"
+    def of_camera(self, side: str, name: str) -> Path:
+        """``events.h5`` or ``rectify_map.h5`` of the left or right event camera."""
+        return self.path / "events" / side / name
 
 
 def find_sequences(root: Path) -> dict[str, SequenceFolder]:
-    """The sequences under a folder.
-
-    Args:
-        root: folder of the data set.
-
-    Returns:
-        Name → folder, sorted by name.
+    """The sequences under the folder of a data set: name → folder, sorted by name.
 
     Raises:
         RecordingError: there is no such folder, or no sequence in it.
     """
-    if not root.is_dir():
-        raise RecordingError(f"The recordings folder {root} does not exist. {remedy(root)}")
+    existing(root, REMEDY)
     found: dict[str, SequenceFolder] = {}
     for parent in (root / name for name in _PARENTS):
         for name in subfolders(parent) if parent.is_dir() else []:
@@ -89,19 +88,5 @@ def find_sequences(root: Path) -> dict[str, SequenceFolder]:
         raise RecordingError(f"{root} is itself a sequence: give its parent, {root.parent}.")
     raise RecordingError(
         f"{root} holds no sequence folder such as zurich_city_04_a; found {contents(root)}. "
-        f"{remedy(root)}"
-    )
-
-
-def remedy(root: Path) -> str:
-    """What to do about a folder that is not DSEC's, for an error message."""
-    return (
-        "Expected the DSEC layout:\n"
-        f"  {root}/zurich_city_04_a/events/left/events.h5 and rectify_map.h5\n"
-        f"  {root}/zurich_city_04_a/calibration/cam_to_cam.yaml and cam_to_lidar.yaml\n"
-        f"  {root}/data/zurich_city_04/lidar_imu.bag\n"
-        "Get the events, the calibration and lidar_imu.zip from "
-        "https://dsec.ifi.uzh.ch/dsec-datasets/download/, or simulate a stand-in:\n"
-        "  python -m uncal.simulate simulation=event_street root=data/dsec_standin\n"
-        "and read it with dataset=dsec dataset.root=data/dsec_standin"
+        f"{REMEDY.format(root=root)}"
     )

@@ -3,32 +3,57 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Mapping, Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
 
-from uncal.errors import ConfigurationError
+from uncal.errors import ConfigurationError, RecordingError
+
+LAYOUTS: tuple[str, ...] = ("folder", "kitti", "kitti_odometry", "dsec")
+"""Names, as ``dataset=`` has them."""
+
+RIG_FILE = "rig.yaml"
+"""Of a plain folder; see docs/own-rig.md."""
+
+DATE = re.compile(r"\d{4}_\d{2}_\d{2}")
+"""A date folder of KITTI raw."""
 
 
-def list_indices(folder: Path, digits: int, suffix: str) -> set[int]:
-    """The numbers of the files ``0000000007.png`` of a folder.
+def layout_of(root: Path, setting: str) -> str:
+    """Which of :data:`LAYOUTS` a folder has, by names alone; ``setting`` gave it, for messages.
 
-    Args:
-        folder: the folder; a missing one holds no files.
-        digits: length of the number in the file names; other names are ignored.
-        suffix: of the file names, with its dot.
-
-    Returns:
-        The numbers.
+    Raises:
+        RecordingError: no such folder, or none of the layouts.
     """
+    if not root.is_dir():
+        raise RecordingError(f"{setting}={root}: no such folder")
+    if (root / RIG_FILE).is_file() or any(root.glob(f"*/{RIG_FILE}")):
+        return "folder"
+    names = [path.name for path in root.iterdir() if path.is_dir()]
+    if any(DATE.fullmatch(name) for name in names):
+        return "kitti"
+    if "sequences" in names:
+        return "kitti_odometry"
+    if "data" in names or any((root / name / "events").is_dir() for name in names):
+        return "dsec"
+    raise RecordingError(
+        f"{setting}={root}: none of the known layouts: a plain folder ({RIG_FILE}, "
+        "docs/own-rig.md), KITTI raw (date folders such as 2011_09_26), KITTI odometry "
+        f"(sequences/) or DSEC (sequences with events/, and data/); found {contents(root)}"
+    )
+
+
+def list_numbered(folder: Path, digits: int, suffix: str) -> dict[int, str]:
+    """The files ``0000000007.png`` of a folder, number → name; a missing folder holds none."""
     try:
         with os.scandir(folder) as entries:
             names = [entry.name for entry in entries]
     except (FileNotFoundError, NotADirectoryError):
-        return set()
+        return {}
     length = digits + len(suffix)
     return {
-        int(name[:digits])
+        int(name[:digits]): name
         for name in names
         if len(name) == length and name.endswith(suffix) and name[:digits].isdecimal()
     }
@@ -40,17 +65,25 @@ def subfolders(folder: Path) -> list[str]:
         return sorted(e.name for e in entries if e.is_dir() and not e.name.startswith("."))
 
 
-def contents(folder: Path, limit: int = 8) -> str:
+def existing(root: str | Path, remedy: str) -> Path:
+    """The folder of recordings; where it is not, :class:`RecordingError` with a remedy."""
+    root = Path(root).expanduser()
+    if not root.is_dir():
+        raise RecordingError(
+            f"The recordings folder {root} does not exist. {remedy.format(root=root)}"
+        )
+    return root
+
+
+def contents(folder: Path) -> str:
     """The first few names in a folder, for an error message."""
     names = sorted(path.name for path in folder.iterdir())
-    more = f" and {len(names) - limit} more" if len(names) > limit else ""
-    return ", ".join(names[:limit]) + more if names else "nothing (an empty folder)"
+    more = f" and {len(names) - 8} more" if len(names) > 8 else ""
+    return ", ".join(names[:8]) + more if names else "nothing (an empty folder)"
 
 
 def choose(
-    available: Mapping[str, Sequence[str]],
-    wanted: Sequence[str] | None,
-    setting: str,
+    available: Mapping[str, Sequence[str]], wanted: Sequence[str] | None, setting: str
 ) -> list[str]:
     """Choose folders by name or shell pattern.
 
@@ -87,3 +120,10 @@ def choose(
             )
         chosen |= matches
     return [folder for folder in available if folder in chosen]
+
+
+def one_of(name: str, known: Sequence[str], setting: str) -> str:
+    """A name that must be one of those known; else a :class:`ConfigurationError` lists them."""
+    if name not in known:
+        raise ConfigurationError(f"{setting} is '{name}', expected one of {', '.join(known)}.")
+    return name

@@ -1,9 +1,9 @@
-"""Recordings that are folders of numbered images beside folders of numbered scans."""
+"""Recordings that are folders of images beside folders of scans."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
 
@@ -12,66 +12,55 @@ from numpy.typing import NDArray
 
 from uncal.errors import ConfigurationError, FrameError, NothingPaired, RecordingError
 from uncal.recordings.calibration_files import CameraCalibration
-from uncal.recordings.folder_listing import list_indices
 from uncal.recordings.frame import Frame, FrameId
-from uncal.recordings.image_sizes import usual_size
-from uncal.recordings.motion import read_oxts
 from uncal.recordings.scan_motion import SweepMotion
-from uncal.recordings.sensor_files import read_image, read_scan
+from uncal.recordings.sensor_files import read_image, read_scan, usual_size
 
 
 @dataclass(frozen=True)
 class DriveFolder:
-    """Where one drive's files are.
+    """Where one drive's files are, and how they are read.
 
     Attributes:
         rig: name of the rig; see :class:`~uncal.recordings.frame.FrameId`.
         drive: name of the drive.
-        images: folder of the ``.png`` files.
-        scans: folder of the ``.bin`` files.
-        digits: length of the frame number in the file names.
-        calibration: of the camera that took the images.
-        times: file of timestamps, line by line those of frame 0, 1, ...
-        read_times: its parser; frames beyond its last line have no time.
-        motion: folder of one ``.txt`` a frame that says how the vehicle moves; None: not known.
-        R_lidar_imu: (3, 3) rotation of what they are given in → LiDAR; None: none.
-        distorted: without ``motion``, sweeps are distorted by a motion to be found from themselves.
+        image_folder: holds ``images``.
+        images: frame number → name of the file; a number in ``images`` or ``scans`` alone is
+            reported as skipped.
+        scan_folder: holds ``scans``.
+        scans: frame number → name of the file.
+        calibration: of the camera, as it is after ``undistort``.
+        times: seconds of frame 0, 1, …; frames beyond the last one have no time.
+        unpaired: name of a file without a partner, where files are not paired by number → reason.
+        read_scan: gives (N, 4) points and how many were dropped.
+        undistort: of images as they are read.
+        recorded_twist: the LiDAR's motion at a frame, see :class:`~uncal.recordings.frame.Frame`.
+        distorted: without ``recorded_twist``, the motion is to be found from the sweeps themselves.
     """
 
     rig: str
     drive: str
-    images: Path
-    scans: Path
-    digits: int
+    image_folder: Path
+    images: Mapping[int, str]
+    scan_folder: Path
+    scans: Mapping[int, str]
     calibration: CameraCalibration
-    times: Path
-    read_times: Callable[[Path], NDArray[np.float64]]
-    motion: Path | None = None
-    R_lidar_imu: NDArray[np.float64] | None = None
+    times: Callable[[], NDArray[np.float64]]
+    unpaired: Mapping[str, str] = field(default_factory=dict)
+    read_scan: Callable[[Path], tuple[NDArray[np.float32], int]] = read_scan
+    undistort: Callable[[NDArray[np.uint8]], NDArray[np.uint8]] | None = None
+    recorded_twist: Callable[[int], NDArray[np.float64]] | None = None
     distorted: bool = False
-
-    def image_path(self, index: int) -> Path:
-        """The image of frame ``index``."""
-        return self.images / f"{index:0{self.digits}d}.png"
-
-    def scan_path(self, index: int) -> Path:
-        """The scan of frame ``index``."""
-        return self.scans / f"{index:0{self.digits}d}.bin"
 
     def scan(self, index: int) -> NDArray[np.float32]:
         """The points of frame ``index``."""
-        return read_scan(self.scan_path(index))[0]
-
-    def recorded_twist(self, index: int) -> NDArray[np.float64] | None:
-        """How the LiDAR moves at frame ``index``, if that was recorded."""
-        if self.motion is None:
-            return None
-        rotation = np.eye(3) if self.R_lidar_imu is None else self.R_lidar_imu
-        return read_oxts(self.motion / f"{index:0{self.digits}d}.txt", rotation)
+        if index not in self.scans:
+            raise FrameError(f"{self.scan_folder}: there is no scan {index}.")
+        return self.read_scan(self.scan_folder / self.scans[index])[0]
 
 
 class FolderRecording:
-    """Pairs images and scans by number; implements :class:`~uncal.recordings.frame.Recording`.
+    """Frames of some drives; implements :class:`~uncal.recordings.frame.Recording`.
 
     Args:
         drives: the drives, in order.
@@ -89,8 +78,7 @@ class FolderRecording:
 
     def __init__(self, drives: Iterable[DriveFolder], stride: int) -> None:
         """List the drives; no image and no scan is opened."""
-        if stride < 1:
-            raise ConfigurationError(f"stride is {stride}, expected at least 1 (every frame).")
+        check_stride(stride)
         self.frame_ids: list[FrameId] = []
         self.skipped: dict[str, str] = {}
         self._drives = {(drive.rig, drive.drive): drive for drive in drives}
@@ -103,108 +91,104 @@ class FolderRecording:
             raise NothingPaired(self._nothing_found())
 
     def load(self, frame_id: FrameId) -> Frame:
-        """Read one frame.
-
-        Args:
-            frame_id: one of :attr:`frame_ids`.
-
-        Returns:
-            The frame; non-finite points are dropped and counted.
+        """Read one of :attr:`frame_ids`; non-finite points are dropped and counted.
 
         Raises:
             FrameError: the image, the scan or the record of motion is missing, truncated or
                 unreadable, or the image has another size than the calibration is for.
-            RecordingError: the recording has no such drive.
+            RecordingError: the recording has no such frame.
         """
         key = (frame_id.rig, frame_id.drive)
-        if key not in self._drives:
+        drive = self._drives.get(key)
+        if drive is None or not (frame_id.index in drive.images and frame_id.index in drive.scans):
             raise RecordingError(
-                f"Frame {frame_id} is of no drive of this recording; its drives are "
+                f"Frame {frame_id} is none of this recording; its drives are "
                 f"{', '.join('/'.join(known) for known in self._drives)}."
             )
-        drive = self._drives[key]
-        points, n_dropped = read_scan(drive.scan_path(frame_id.index))
-        image = read_image(drive.image_path(frame_id.index))
-        self._check_size(drive, image, frame_id.index)
+        image_path, scan_path = self.paths(frame_id)
+        points, n_dropped = drive.read_scan(scan_path)
+        image = read_image(image_path)
+        self._check_size(key, image_path, image.shape[:2])
+        if key not in self._times:
+            self._times[key] = drive.times()
+        times = self._times[key]
         return Frame(
             id=frame_id,
-            image=image,
+            image=image if drive.undistort is None else drive.undistort(image),
             points=points,
             K=drive.calibration.K.copy(),
             T_cam_lidar=drive.calibration.T_cam_lidar.copy(),
-            time=self._time(drive, frame_id.index),
+            time=float(times[frame_id.index]) if frame_id.index < len(times) else float("nan"),
             n_dropped=n_dropped,
-            twist=self._twist(drive, frame_id.index),
+            twist=self._twist(key, frame_id.index),
         )
 
     def paths(self, frame_id: FrameId) -> tuple[Path, Path]:
         """Image and scan of one of :attr:`frame_ids`."""
         drive = self._drives[frame_id.rig, frame_id.drive]
-        return drive.image_path(frame_id.index), drive.scan_path(frame_id.index)
+        image, scan = drive.images[frame_id.index], drive.scans[frame_id.index]
+        return drive.image_folder / image, drive.scan_folder / scan
 
     def calibration(self, frame_id: FrameId) -> CameraCalibration:
         """What the drive's files say of the camera of one of :attr:`frame_ids`."""
         return self._drives[frame_id.rig, frame_id.drive].calibration
 
     def _list_drive(self, drive: DriveFolder, stride: int) -> None:
-        images = list_indices(drive.images, drive.digits, ".png")
-        scans = list_indices(drive.scans, drive.digits, ".bin")
-        for index in islice(sorted(images | scans), 0, None, stride):
+        for index in islice(sorted({*drive.images, *drive.scans}), 0, None, stride):
             frame_id = FrameId(drive.rig, drive.drive, index)
-            if index not in scans:
-                self.skipped[str(frame_id)] = f"scan missing: {drive.scan_path(index)}"
-            elif index not in images:
-                self.skipped[str(frame_id)] = f"image missing: {drive.image_path(index)}"
+            if index not in drive.scans:
+                stem = Path(drive.images[index]).stem
+                self.skipped[str(frame_id)] = f"scan missing: {drive.scan_folder / stem}.bin"
+            elif index not in drive.images:
+                stem = Path(drive.scans[index]).stem
+                self.skipped[str(frame_id)] = f"image missing: {drive.image_folder / stem}.png"
             else:
                 self.frame_ids.append(frame_id)
+        self.skipped |= {f"{drive.rig}/{drive.drive}/{k}": v for k, v in drive.unpaired.items()}
 
-    def _check_size(self, drive: DriveFolder, image: NDArray[np.uint8], index: int) -> None:
+    def _check_size(self, key: tuple[str, str], path: Path, found: tuple[int, ...]) -> None:
         """Refuse an image that the drive's camera matrix is not for, such as a crop."""
-        key = (drive.rig, drive.drive)
+        drive = self._drives[key]
         if key not in self._sizes:
-            numbers = sorted(list_indices(drive.images, drive.digits, ".png"))
             self._sizes[key] = drive.calibration.size or usual_size(
-                [drive.image_path(number) for number in numbers]
+                [drive.image_folder / drive.images[number] for number in sorted(drive.images)]
             )
-        expected, found = self._sizes[key], image.shape[:2]
+        expected = self._sizes[key]
         if expected is not None and found != expected:
-            said = "its calibration (S_rect) says" if drive.calibration.size else "most others have"
+            said = (
+                "its calibration (KITTI: S_rect) says"
+                if drive.calibration.size
+                else "most others have"
+            )
             raise FrameError(
-                f"{drive.image_path(index)}: {found[1]}×{found[0]} pixels, but {said} "
-                f"{expected[1]}×{expected[0]}: cropped or resized, its camera matrix does not "
-                "hold. Restore the image, or adapt the calibration to it."
+                f"{path}: {found[1]}×{found[0]} pixels, but {said} {expected[1]}×{expected[0]}: "
+                "cropped or resized, its camera matrix does not hold. Restore the image, or adapt "
+                "the calibration to it."
             )
 
-    def _twist(self, drive: DriveFolder, index: int) -> NDArray[np.float64] | None:
-        if drive.motion is not None or not drive.distorted:
+    def _twist(self, key: tuple[str, str], index: int) -> NDArray[np.float64] | None:
+        drive = self._drives[key]
+        if drive.recorded_twist is not None:
             return drive.recorded_twist(index)
-        key = (drive.rig, drive.drive)
+        if not drive.distorted:
+            return None
         if key not in self._motions:
-            self._motions[key] = SweepMotion(drive.scan, self._times_of(drive))
+            self._motions[key] = SweepMotion(drive.scan, self._times[key])
         return self._motions[key].twist(index)
 
-    def _times_of(self, drive: DriveFolder) -> NDArray[np.float64]:
-        key = (drive.rig, drive.drive)
-        if key not in self._times:
-            self._times[key] = drive.read_times(drive.times)
-        return self._times[key]
-
-    def _time(self, drive: DriveFolder, index: int) -> float:
-        times = self._times_of(drive)
-        return float(times[index]) if index < times.size else float("nan")
-
     def _nothing_found(self) -> str:
-        looked = [
-            f"{drive.images} (.png) and {drive.scans} (.bin)"
-            for drive in islice(self._drives.values(), 3)
-        ]
-        missing = [f"{frame}: {reason}" for frame, reason in islice(self.skipped.items(), 3)]
-        return "\n  ".join(
-            [
-                f"No frame with an image and a scan in {len(self._drives)} drive(s). Looked in",
-                *looked,
-                f"{len(self.skipped)} incomplete frames" + (", among them" if missing else "."),
-                *missing,
-                "Choose a camera that was recorded, or unpack the missing archive.",
-            ]
+        lines = [f"No frame with an image and a scan in {len(self._drives)} drive(s). Looked in"]
+        for drive in islice(self._drives.values(), 3):
+            lines.append(f"{drive.image_folder} and {drive.scan_folder}")
+        lines.append(
+            f"{len(self.skipped)} incomplete frames" + (", among them" * bool(self.skipped))
         )
+        lines += [f"{frame}: {reason}" for frame, reason in islice(self.skipped.items(), 3)]
+        lines.append("Choose a camera that was recorded, or unpack the missing archive.")
+        return "\n  ".join(lines)
+
+
+def check_stride(stride: int) -> None:
+    """Refuse a stride below 1 with a :class:`~uncal.errors.ConfigurationError`."""
+    if stride < 1:
+        raise ConfigurationError(f"stride is {stride}, expected at least 1 (every frame).")

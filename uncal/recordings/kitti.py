@@ -13,23 +13,41 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from uncal.errors import ConfigurationError, RecordingError
+from uncal.errors import RecordingError
 from uncal.recordings.calibration_files import raw_calibration, read_calibration_file
-from uncal.recordings.folder_listing import choose, contents, list_indices, subfolders
+from uncal.recordings.folder_listing import (
+    DATE,
+    choose,
+    contents,
+    existing,
+    list_numbered,
+    one_of,
+    subfolders,
+)
 from uncal.recordings.folder_recording import DriveFolder, FolderRecording
+from uncal.recordings.motion import read_oxts
 from uncal.recordings.sensor_files import read_clock_times
 
 CAMERAS: tuple[str, ...] = ("image_00", "image_01", "image_02", "image_03")
 """The camera folders of KITTI raw, in the order of their numbers in the calibration files."""
 
-_DATE = re.compile(r"\d{4}_\d{2}_\d{2}")
 _DRIVE = re.compile(r"(\d{4}_\d{2}_\d{2})_drive_(\d+)_sync")
+
+_REMEDY = """\
+Expected the KITTI raw layout:
+  {root}/2011_09_26/calib_cam_to_cam.txt and calib_velo_to_cam.txt
+  {root}/2011_09_26/2011_09_26_drive_0001_sync/image_02/data/0000000000.png
+  {root}/2011_09_26/2011_09_26_drive_0001_sync/velodyne_points/data/0000000000.bin
+Get the synced+rectified drives and their calibration from \
+https://www.cvlibs.net/datasets/kitti/raw_data.php, or write a simulated stand-in:
+  python -m uncal.simulate root={root}"""
 
 
 class KittiRaw(FolderRecording):
@@ -59,58 +77,50 @@ class KittiRaw(FolderRecording):
         untwist: bool = True,
     ) -> None:
         """Find the drives and read their calibration; no frame is opened."""
-        if camera not in CAMERAS:
-            raise ConfigurationError(f"camera is '{camera}', expected one of {', '.join(CAMERAS)}.")
-        root = Path(root).expanduser()
-        chosen = choose(find_drives(root), drives, "drives")
-        number = CAMERAS.index(camera)
-        calibrations = {
-            date: raw_calibration(root / date, number) for date in dict.fromkeys(map(_date, chosen))
-        }
-        rotations = {date: _imu_rotation(root / date) for date in calibrations}
+        number = CAMERAS.index(one_of(camera, CAMERAS, "camera"))
+        root = existing(root, _REMEDY)
+        folders = [root / name[:10] / name for name in choose(find_drives(root), drives, "drives")]
+        dates = dict.fromkeys(folder.parent for folder in folders)
+        calibrations = {date: raw_calibration(date, number) for date in dates}
         super().__init__(
             (
                 DriveFolder(
-                    rig=_date(drive),
-                    drive=drive,
-                    images=root / _date(drive) / drive / camera / "data",
-                    scans=root / _date(drive) / drive / "velodyne_points" / "data",
-                    digits=10,
-                    calibration=calibrations[_date(drive)],
-                    times=root / _date(drive) / drive / camera / "timestamps.txt",
-                    read_times=read_clock_times,
-                    motion=_motion(root / _date(drive) / drive) if untwist else None,
-                    R_lidar_imu=rotations[_date(drive)],
+                    rig=folder.parent.name,
+                    drive=folder.name,
+                    image_folder=folder / camera / "data",
+                    images=list_numbered(folder / camera / "data", 10, ".png"),
+                    scan_folder=folder / "velodyne_points" / "data",
+                    scans=list_numbered(folder / "velodyne_points" / "data", 10, ".bin"),
+                    calibration=calibrations[folder.parent],
+                    times=partial(read_clock_times, folder / camera / "timestamps.txt"),
+                    recorded_twist=_recorded_twist(folder) if untwist else None,
                     distorted=untwist,
                 )
-                for drive in chosen
+                for folder in folders
             ),
             stride,
         )
 
 
-def _motion(drive: Path) -> Path | None:
-    """Folder of the OXTS files; None where a drive has none."""
+def _recorded_twist(drive: Path) -> Callable[[int], NDArray[np.float64]] | None:
+    """What reads the OXTS files; None where a drive has none."""
     folder = drive / "oxts" / "data"
-    return folder if list_indices(folder, 10, ".txt") else None
+    if not list_numbered(folder, 10, ".txt"):
+        return None
+    path, R_lidar_imu = drive.parent / "calib_imu_to_velo.txt", np.eye(3)
+    if path.is_file():
+        R_lidar_imu = read_calibration_file(path)["R"]
+    return partial(_read_twist, folder, R_lidar_imu)
 
 
-def _imu_rotation(date_folder: Path) -> NDArray[np.float64] | None:
-    """(3, 3) IMU → LiDAR; None where the date folder does not say."""
-    path = date_folder / "calib_imu_to_velo.txt"
-    return read_calibration_file(path)["R"].reshape(3, 3) if path.is_file() else None
-
-
-def _date(drive: str) -> str:
-    return drive[: len("2011_09_26")]
+def _read_twist(folder: Path, R_lidar_imu: NDArray[np.float64], index: int) -> NDArray[np.float64]:
+    return read_oxts(folder / f"{index:010d}.txt", R_lidar_imu)
 
 
 def find_drives(root: Path) -> dict[str, list[str]]:
     """Drive folders under ``root``, sorted → the names that a user may write for them."""
-    if not root.is_dir():
-        raise RecordingError(f"The recordings folder {root} does not exist. {_remedy(root)}")
-    names = subfolders(root)
-    dates = [name for name in names if _DATE.fullmatch(name)]
+    names = subfolders(existing(root, _REMEDY))
+    dates = [name for name in names if DATE.fullmatch(name)]
     drives: dict[str, list[str]] = {}
     for date in dates:
         for name in subfolders(root / date):
@@ -121,20 +131,9 @@ def find_drives(root: Path) -> dict[str, list[str]]:
         return drives
     if any(_DRIVE.fullmatch(name) for name in names):
         raise RecordingError(f"{root} is itself a date folder: give its parent, {root.parent}.")
+    inside, missing = root, "date folder such as 2011_09_26"
     if dates:
         inside, missing = root / dates[0], "drive folder such as 2011_09_26_drive_0001_sync"
-    else:
-        inside, missing = root, "date folder such as 2011_09_26"
-    raise RecordingError(f"{inside} holds no {missing}; found {contents(inside)}. {_remedy(root)}")
-
-
-def _remedy(root: Path) -> str:
-    return (
-        "Expected the KITTI raw layout:\n"
-        f"  {root}/2011_09_26/calib_cam_to_cam.txt and calib_velo_to_cam.txt\n"
-        f"  {root}/2011_09_26/2011_09_26_drive_0001_sync/image_02/data/0000000000.png\n"
-        f"  {root}/2011_09_26/2011_09_26_drive_0001_sync/velodyne_points/data/0000000000.bin\n"
-        "Get the synced+rectified drives and their calibration from "
-        "https://www.cvlibs.net/datasets/kitti/raw_data.php, or write a simulated stand-in:\n"
-        f"  python -m uncal.simulate root={root}"
+    raise RecordingError(
+        f"{inside} holds no {missing}; found {contents(inside)}. {_REMEDY.format(root=root)}"
     )

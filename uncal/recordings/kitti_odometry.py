@@ -13,16 +13,34 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
-from uncal.errors import ConfigurationError, RecordingError
+from uncal.errors import RecordingError
 from uncal.recordings.calibration_files import odometry_calibration, read_calibration_file
-from uncal.recordings.folder_listing import choose, contents, subfolders
+from uncal.recordings.folder_listing import (
+    choose,
+    contents,
+    existing,
+    list_numbered,
+    one_of,
+    subfolders,
+)
 from uncal.recordings.folder_recording import DriveFolder, FolderRecording
 from uncal.recordings.sensor_files import read_second_times
 
 CAMERAS: tuple[str, ...] = ("image_0", "image_1", "image_2", "image_3")
 """The camera folders of KITTI odometry, in the order of their numbers in ``calib.txt``."""
+
+_REMEDY = """\
+Expected the KITTI odometry layout:
+  {root}/sequences/00/calib.txt (with the key Tr)
+  {root}/sequences/00/image_2/000000.png
+  {root}/sequences/00/velodyne/000000.bin
+Get the colour images, the Velodyne data and the calibration files from \
+https://www.cvlibs.net/datasets/kitti/eval_odometry.php, or write a simulated stand-in \
+in the raw layout, to be read with dataset=kitti:
+  python -m uncal.simulate root={root}"""
 
 
 class KittiOdometry(FolderRecording):
@@ -51,27 +69,23 @@ class KittiOdometry(FolderRecording):
         stride: int = 1,
     ) -> None:
         """Find the drives and read their calibration; no frame is opened."""
-        if camera not in CAMERAS:
-            raise ConfigurationError(f"camera is '{camera}', expected one of {', '.join(CAMERAS)}.")
-        root = Path(root).expanduser()
+        number = CAMERAS.index(one_of(camera, CAMERAS, "camera"))
+        root = existing(root, _REMEDY)
         available = {name: [name] for name in find_sequences(root)}
-        number = CAMERAS.index(camera)
-        folders = [
-            root / "sequences" / name for name in choose(available, _names(sequences), "sequences")
-        ]
+        chosen = choose(available, _names(sequences), "sequences")
         super().__init__(
             (
                 DriveFolder(
                     rig=_rig_name(folder / "calib.txt"),
                     drive=folder.name,
-                    images=folder / camera,
-                    scans=folder / "velodyne",
-                    digits=6,
+                    image_folder=folder / camera,
+                    images=list_numbered(folder / camera, 6, ".png"),
+                    scan_folder=folder / "velodyne",
+                    scans=list_numbered(folder / "velodyne", 6, ".bin"),
                     calibration=odometry_calibration(folder / "calib.txt", number),
-                    times=folder / "times.txt",
-                    read_times=read_second_times,
+                    times=partial(read_second_times, folder / "times.txt"),
                 )
-                for folder in folders
+                for folder in (root / "sequences" / name for name in chosen)
             ),
             stride,
         )
@@ -90,36 +104,20 @@ def _rig_name(path: Path) -> str:
     # The numbers, not the bytes: copies of the file differ in line ends and in trailing blanks.
     digest = hashlib.sha256()
     for key, numbers in sorted(read_calibration_file(path).items()):
-        digest.update(f"{key}:{numbers.tolist()};".encode())
+        digest.update(f"{key}:{numbers.ravel().tolist()};".encode())
     return f"calib-{digest.hexdigest()[:8]}"
 
 
 def find_sequences(root: Path) -> list[str]:
     """Names of the sequence folders of a KITTI odometry root, sorted."""
-    if not root.is_dir():
-        raise RecordingError(f"The recordings folder {root} does not exist. {_remedy(root)}")
-    sequences = root / "sequences"
+    sequences = existing(root, _REMEDY) / "sequences"
+    if not sequences.is_dir() and (root / "dataset" / "sequences").is_dir():
+        raise RecordingError(f"{root} holds no folder 'sequences': give {root / 'dataset'}.")
+    inside, missing = root, "folder 'sequences'"
     if sequences.is_dir():
         if names := subfolders(sequences):
             return names
-        raise RecordingError(
-            f"{sequences} holds no folder such as 00; found {contents(sequences)}. {_remedy(root)}"
-        )
-    if (root / "dataset" / "sequences").is_dir():
-        raise RecordingError(f"{root} holds no folder 'sequences': give {root / 'dataset'}.")
+        inside, missing = sequences, "folder such as 00"
     raise RecordingError(
-        f"{root} holds no folder 'sequences'; found {contents(root)}. {_remedy(root)}"
-    )
-
-
-def _remedy(root: Path) -> str:
-    return (
-        "Expected the KITTI odometry layout:\n"
-        f"  {root}/sequences/00/calib.txt (with the key Tr)\n"
-        f"  {root}/sequences/00/image_2/000000.png\n"
-        f"  {root}/sequences/00/velodyne/000000.bin\n"
-        "Get the colour images, the Velodyne data and the calibration files from "
-        "https://www.cvlibs.net/datasets/kitti/eval_odometry.php, or write a simulated stand-in "
-        "in the raw layout, to be read with dataset=kitti:\n"
-        f"  python -m uncal.simulate root={root}"
+        f"{inside} holds no {missing}; found {contents(inside)}. {_REMEDY.format(root=root)}"
     )

@@ -6,10 +6,10 @@ import logging
 import os
 import struct
 from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
-from typing import Protocol, cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,17 +20,20 @@ from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
 from uncal.errors import FrameError, NothingPaired, RecordingError
+from uncal.recordings.bag_messages import stamp_ns
 from uncal.recordings.lidar_index import LidarIndex, cached_index
 from uncal.recordings.motion import Spin
 from uncal.recordings.point_cloud2 import (
     BYTE,
-    PointCloud2,
     brightest_of,
     has_intensity,
     read_points,
     sweep_end,
     sweep_spin,
 )
+
+if TYPE_CHECKING:
+    from rosbags.typesys.stores.ros1_noetic import sensor_msgs__msg__PointCloud2 as PointCloud2
 
 log = logging.getLogger(__name__)
 
@@ -44,19 +47,6 @@ _DAMAGE = (
     *(ReaderError, SerdeError, AssertionError, EOFError, LookupError),
     *(OSError, RuntimeError, ValueError, struct.error),
 )
-
-
-class _Time(Protocol):
-    sec: int
-    nanosec: int
-
-
-class _Header(Protocol):
-    stamp: _Time
-
-
-class _Scan(PointCloud2, Protocol):
-    header: _Header
 
 
 class LidarBag:
@@ -83,7 +73,7 @@ class LidarBag:
         self.path = path
         self.index: LidarIndex = cached_index(path, index_scans)
         self._opened: tuple[int, Reader] | None = None
-        self._last: tuple[int, _Scan] | None = None
+        self._last: tuple[int, PointCloud2] | None = None
         self._brightest: float | None = None
         self._has_intensity = True
 
@@ -111,10 +101,7 @@ class LidarBag:
         return self._brightest
 
     def read(self, position: int) -> tuple[NDArray[np.float32], int]:
-        """One scan.
-
-        Args:
-            position: in :attr:`index`.
+        """One scan, by its position in :attr:`index`.
 
         Returns:
             (N, 4) float32 x, y, z (metres, LiDAR frame) and reflectance in 0..1, N ≥ 1, and how
@@ -123,12 +110,8 @@ class LidarBag:
         Raises:
             FrameError: the scan cannot be read or holds no finite point.
         """
-        try:
+        with self._damage_named(position):
             points, n_dropped = read_points(self._scan(position), self._full_scale())
-        except _DAMAGE as error:
-            raise FrameError(
-                f"{self.path}: {self._named(position)} cannot be read ({error})."
-            ) from error
         if not len(points):
             raise FrameError(
                 f"{self.path}: none of the {n_dropped} points of {self._named(position)} is finite."
@@ -142,26 +125,28 @@ class LidarBag:
     def spin(self, position: int) -> Spin | None:
         """When a scan was measured, after its stamp; None where its points do not say.
 
-        Args:
-            position: in :attr:`index`.
-
         Raises:
             FrameError: the scan cannot be read.
         """
-        try:
+        with self._damage_named(position):
             return sweep_spin(self._scan(position))
+
+    @contextmanager
+    def _damage_named(self, position: int) -> Iterator[None]:
+        try:
+            yield
         except _DAMAGE as error:
             raise FrameError(
                 f"{self.path}: {self._named(position)} cannot be read ({error})."
             ) from error
 
-    def _scan(self, position: int) -> _Scan:
+    def _scan(self, position: int) -> PointCloud2:
         """The message; the last one is kept."""
         if self._last is None or self._last[0] != position:
             message_ns = int(self.index.message_ns[position])
-            stamp_ns = int(self.index.stamp_ns[position])
+            stamp = int(self.index.stamp_ns[position])
             for _, scan in _scans(self._reader(), start=message_ns, stop=message_ns + 1):
-                if _stamp_ns(scan) == stamp_ns:
+                if stamp_ns(scan) == stamp:
                     self._last = (position, scan)
                     break
             else:
@@ -187,12 +172,6 @@ def index_scans(path: Path) -> LidarIndex:
     """Read a bag from end to end and note its scans.
 
     Damage in the middle ends the reading; the scans before it are kept, the others counted.
-
-    Args:
-        path: the ``.bag`` file.
-
-    Returns:
-        The index.
 
     Raises:
         RecordingError: the bag is truncated, has no scans, or none that can be read.
@@ -231,17 +210,13 @@ def index_scans(path: Path) -> LidarIndex:
     return LidarIndex.from_scans(np.array(rows, dtype=np.int64), n_scans - len(rows), reason)
 
 
-def _row(message_ns: int, scan: _Scan) -> tuple[int, int, int, int]:
+def _row(message_ns: int, scan: PointCloud2) -> tuple[int, int, int, int]:
     n_points = scan.height * scan.width
     if n_points == 0:
         raise ValueError("the point cloud is empty")
-    stamp_ns = _stamp_ns(scan)
     # The times are float32: nanoseconds would be its rounding errors.
-    return message_ns, stamp_ns, stamp_ns + 1000 * round(sweep_end(scan) * 1e6), n_points
-
-
-def _stamp_ns(scan: _Scan) -> int:
-    return scan.header.stamp.sec * 1_000_000_000 + scan.header.stamp.nanosec
+    stamp = stamp_ns(scan)
+    return message_ns, stamp, stamp + 1000 * round(sweep_end(scan) * 1e6), n_points
 
 
 def _connections(reader: Reader) -> list[Connection]:
@@ -254,10 +229,10 @@ def _connections(reader: Reader) -> list[Connection]:
 
 def _scans(
     reader: Reader, start: int | None = None, stop: int | None = None
-) -> Iterator[tuple[int, _Scan]]:
+) -> Iterator[tuple[int, PointCloud2]]:
     """Record times and scans; ``start`` and ``stop`` are record times, nanoseconds."""
     for _, message_ns, raw in reader.messages(_connections(reader), start, stop):
-        yield message_ns, cast("_Scan", _types().deserialize_ros1(raw, _MESSAGE_TYPE))
+        yield message_ns, cast("PointCloud2", _types().deserialize_ros1(raw, _MESSAGE_TYPE))
 
 
 @cache

@@ -50,94 +50,54 @@ class LidarIndex:
     @property
     def rate(self) -> float:
         """Scans per second while the LiDAR runs: 1 / median interval; NaN below two scans."""
-        if len(self) < 2:
-            return float("nan")
-        return float(1e9 / np.median(np.diff(self.stamp_ns)))
+        return float(1e9 / np.median(np.diff(self.stamp_ns))) if len(self) > 1 else float("nan")
 
     @property
     def n_gaps(self) -> int:
         """Intervals of more than 1.5 times the median."""
-        if len(self) < 2:
-            return 0
         intervals = np.diff(self.stamp_ns)
-        return int(np.count_nonzero(intervals > _GAP * np.median(intervals)))
+        return int((intervals > _GAP * np.median(intervals)).sum()) if len(self) > 1 else 0
 
     @classmethod
     def from_scans(
         cls, scans: NDArray[np.int64], n_damaged: int = 0, damage: str = ""
     ) -> LidarIndex:
-        """Sort scans by their stamps and leave out repeated ones.
-
-        Args:
-            scans: (n, 4) record time, stamp, end of the sweep (nanoseconds), points.
-            n_damaged: as in the class.
-            damage: as in the class.
-
-        Returns:
-            The index.
+        """Sort (n, 4) scans (record time, stamp, end, points) by stamp; repeated ones are left out.
 
         >>> index = LidarIndex.from_scans(np.array([[5, 2, 3, 9], [4, 1, 2, 9], [6, 2, 3, 9]]))
         >>> index.stamp_ns.tolist(), index.message_ns.tolist(), index.n_duplicates
         ([1, 2], [4, 5], 1)
         """
         _, kept = np.unique(scans[:, 1], return_index=True)
-        message_ns, stamp_ns, end_ns, n_points = np.ascontiguousarray(scans[kept].T)
-        return cls(
-            message_ns, stamp_ns, end_ns, n_points, len(scans) - len(kept), n_damaged, damage
-        )
+        message, stamp, end, n_points = np.ascontiguousarray(scans[kept].T)
+        return cls(message, stamp, end, n_points, len(scans) - len(kept), n_damaged, damage)
 
 
 def cached_index(bag: Path, build: Callable[[Path], LidarIndex]) -> LidarIndex:
     """The index of a bag: the one kept beside it if it is of this very file, else a new one.
 
     A new one is kept for the next time where the folder can be written to.
-
-    Args:
-        bag: the bag.
-        build: reads the bag; what it raises passes through.
-
-    Returns:
-        The index.
     """
-    cache = bag.with_name(CACHE_NAME)
-    status = bag.stat()
+    cache, status = bag.with_name(CACHE_NAME), bag.stat()
     identity = np.array([_VERSION, status.st_size, status.st_mtime_ns], dtype=np.int64)
-    known = _load(cache, identity)
-    if known is not None:
-        return known
-    log.info("indexing %s (%.1f GB), once", bag, status.st_size / 1e9)
-    index = build(bag)
-    _store(cache, identity, index)
-    return index
-
-
-def _load(cache: Path, identity: NDArray[np.int64]) -> LidarIndex | None:
     try:
         with np.load(cache, allow_pickle=False) as kept:
-            if not np.array_equal(kept["identity"], identity):
-                return None
-            return LidarIndex(
-                message_ns=kept["message_ns"],
-                stamp_ns=kept["stamp_ns"],
-                end_ns=kept["end_ns"],
-                n_points=kept["n_points"],
-                n_duplicates=int(kept["n_duplicates"]),
-                n_damaged=int(kept["n_damaged"]),
-                damage=str(kept["damage"]),
-            )
+            if np.array_equal(kept["identity"], identity):
+                # The numbers and the text that stand alone come as arrays without a dimension.
+                known = {name: kept[name] for name in LidarIndex.__dataclass_fields__}
+                return LidarIndex(**{k: v if v.ndim else v.item() for k, v in known.items()})
     except FileNotFoundError:
-        return None
+        pass
     except Exception as error:  # whatever is wrong with a cache, the bag itself is still there
         log.warning("ignoring the damaged index %s: %s", cache, error)
-        return None
-
-
-def _store(cache: Path, identity: NDArray[np.int64], index: LidarIndex) -> None:
+    log.info("indexing %s (%.1f GB), once", bag, status.st_size / 1e9)
+    index = build(bag)
     # Renamed when complete: several runs may share the recordings.
     draft = cache.with_name(f"{cache.stem}.{os.getpid()}.npz")
     try:
         np.savez(draft, identity=identity, **vars(index))
         draft.replace(cache)
     except OSError as error:
-        log.info("the index of %s stays in memory only: %s", cache.parent, error)
+        log.info("the index of %s stays in memory only: %s", bag.parent, error)
         draft.unlink(missing_ok=True)
+    return index

@@ -2,23 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
 import cv2
 import numpy as np
-import torch
-import yaml  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation  # type: ignore[import-untyped]
 
-from uncal.errors import CalibrationMissing, RecordingError
-from uncal.geometry import euler_to_matrix
-from uncal.recordings.calibration_files import check_rotation
-
-FILE = "rig.yaml"
+from uncal.errors import RecordingError
+from uncal.recordings.calibration_files import (
+    check_rotation,
+    height_width,
+    is_camera_matrix,
+    numbers,
+    read_calibration_yaml,
+)
 
 UNITS: dict[str, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 """Unit of lengths → metres."""
@@ -59,11 +60,7 @@ class Lens:
         return np.asarray(new, dtype=np.float64)
 
     def undistort(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """The image as a lens without distortion would show it.
-
-        Args:
-            image: (H, W, 3) as recorded.
-        """
+        """An (H, W, 3) image as a lens without distortion would show it."""
         if self.model == "none":
             return image
         column, row = self._maps
@@ -99,27 +96,16 @@ class Rig:
 
 
 def read_rig(path: Path) -> Rig:
-    """Read ``rig.yaml``.
-
-    Args:
-        path: the file; docs/own-rig.md describes it.
+    """Read ``rig.yaml``, which docs/own-rig.md describes.
 
     Raises:
         CalibrationMissing: it is not there.
         RotationError: a rotation is none.
         RecordingError: a key is missing or wrong.
     """
-    try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise CalibrationMissing(
-            f"Cannot read the calibration file {path} ({error.strerror}); docs/own-rig.md says "
-            "what belongs into it."
-        ) from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise RecordingError(f"{path} is no YAML file ({error}).") from error
-    content = _mapping(content, path, "the file", {"cameras", "lidars", "extrinsics"},
-                       {"name", "pairing"})  # fmt: skip
+    content = read_calibration_yaml(path, "docs/own-rig.md says what belongs into it.")
+    needed, allowed = {"cameras", "lidars", "extrinsics"}, {"name", "pairing"}
+    content = _mapping(content, path, "the file", needed, allowed)
     cameras = {
         str(name): _lens(value, path, f"cameras.{name}")
         for name, value in _mapping(content["cameras"], path, "cameras").items()
@@ -127,10 +113,8 @@ def read_rig(path: Path) -> Rig:
     lidars = {}
     for name, value in _mapping(content["lidars"], path, "lidars").items():
         of = _mapping(value or {}, path, f"lidars.{name}", set(), {"units", "brightest"})
-        lidars[str(name)] = (
-            _unit(of, path, f"lidars.{name}"),
-            float(str(of.get("brightest", 1.0))),
-        )
+        brightest = float(str(of.get("brightest", 1.0)))
+        lidars[str(name)] = (_unit(of, path, f"lidars.{name}"), brightest)
     extrinsics = {}
     for camera, targets in _mapping(content["extrinsics"], path, "extrinsics").items():
         for lidar, value in _mapping(targets, path, f"extrinsics.{camera}").items():
@@ -140,56 +124,47 @@ def read_rig(path: Path) -> Rig:
             extrinsics[str(camera), str(lidar)] = parse_transform(value, path, where)
     pairing = _mapping(content.get("pairing") or {}, path, "pairing", set(), {"tolerance_s"})
     tolerance = pairing.get("tolerance_s")
+    name = str(content.get("name", path.parent.resolve().name))
     return Rig(
-        str(content.get("name", path.parent.resolve().name)), cameras, lidars, extrinsics,
-        None if tolerance is None else float(str(tolerance)),
-    )  # fmt: skip
+        name, cameras, lidars, extrinsics, None if tolerance is None else float(str(tolerance))
+    )
 
 
 def _lens(value: object, path: Path, where: str) -> Lens:
     of = _mapping(value, path, where, {"K"}, {"size", "distortion"})
-    K = _array(of["K"], path, f"{where}.K")
+    K = numbers(of["K"], None, path, f"{where}.K")
     if K.shape == (4,):
         K = np.array([[K[0], 0, K[2]], [0, K[1], K[3]], [0, 0, 1.0]])
-    if K.shape != (3, 3) or not (K[0, 0] > 0 and K[1, 1] > 0 and K[2, 2] == 1):
+    if not is_camera_matrix(K):
         raise RecordingError(
             f"{path}: {where}.K is {of['K']}, expected [fx, fy, cx, cy] or 3×3, in pixels."
         )
     size = None
     if of.get("size") is not None:
-        width, height = _array(of["size"], path, f"{where}.size", (2,))
-        size = (round(float(height)), round(float(width)))
-    lens = _mapping(of.get("distortion") or {"model": "none"}, path, f"{where}.distortion",
-                    {"model"}, {"coefficients"})  # fmt: skip
+        size = height_width(numbers(of["size"], (2,), path, f"{where}.size"))
+    given = of.get("distortion") or {"model": "none"}
+    lens = _mapping(given, path, f"{where}.distortion", {"model"}, {"coefficients"})
     model = str(lens["model"])
-    numbers = np.atleast_1d(_array(lens.get("coefficients") or [], path, where))
-    if model not in COEFFICIENTS or len(numbers) not in COEFFICIENTS[model]:
+    found = numbers(lens.get("coefficients") or [], None, path, f"{where}.distortion.coefficients")
+    if model not in COEFFICIENTS or found.size not in COEFFICIENTS[model]:
         raise RecordingError(
             f"{path}: {where}.distortion is {dict(lens)}, expected model none, radtan (4, 5 or 8 "
             "coefficients) or fisheye (4)."
         )
     if model != "none" and size is None:
         raise RecordingError(f"{path}: {where}.size is missing: [width, height] of the images.")
-    return Lens(K, size, model, tuple(float(number) for number in numbers))
+    return Lens(K, size, model, tuple(found.ravel().tolist()))
 
 
 def parse_transform(value: object, path: Path, where: str) -> NDArray[np.float64]:
-    """A 4×4 matrix, or a translation and one of several rotations.
-
-    Args:
-        value: as YAML has it.
-        path: of the file, for messages.
-        where: the key, likewise.
-
-    Returns:
-        (4, 4), metres.
+    """(4, 4) in metres from a 4×4 matrix, or from a translation and one of several rotations.
 
     Raises:
         RecordingError: it is neither.
         RotationError: its rotation is none.
     """
     if not isinstance(value, Mapping):
-        T = _array(value, path, where, (4, 4))
+        T = numbers(value, (4, 4), path, where)
     else:
         rotations = {"rotation", "rotation_deg", "rotation_rad", "quaternion_xyzw"}
         of = _mapping(value, path, where, {"translation"}, rotations | {"units"})
@@ -197,16 +172,17 @@ def parse_transform(value: object, path: Path, where: str) -> NDArray[np.float64
         if len(given) != 1:
             raise RecordingError(f"{path}: {where} needs one of {', '.join(sorted(rotations))}.")
         key = given.pop()
-        numbers = _array(of[key], path, f"{where}.{key}")
+        shape = {"rotation": (3, 3), "quaternion_xyzw": (4,)}.get(key, (3,))
+        found = numbers(of[key], shape, path, f"{where}.{key}")
         T = np.eye(4)
         if key == "rotation":
-            T[:3, :3] = numbers
+            T[:3, :3] = found
         elif key == "quaternion_xyzw":
-            T[:3, :3] = Rotation.from_quat(numbers).as_matrix()
+            T[:3, :3] = Rotation.from_quat(found).as_matrix()
         else:
-            angles = torch.from_numpy(np.radians(numbers) if key == "rotation_deg" else numbers)
-            T[:3, :3] = euler_to_matrix(angles).numpy()
-        T[:3, 3] = _array(of["translation"], path, where, (3,)) * _unit(of, path, where)
+            T[:3, :3] = Rotation.from_euler("xyz", found, key == "rotation_deg").as_matrix()
+        shift = numbers(of["translation"], (3,), path, f"{where}.translation")
+        T[:3, 3] = shift * _unit(of, path, where)
     check_rotation(T[:3, :3], where, path, "Write it row by row, with all its digits.")
     return T
 
@@ -218,29 +194,20 @@ def _unit(of: Mapping[str, object], path: Path, where: str) -> float:
     return UNITS[unit]
 
 
-def _array(
-    value: object, path: Path, where: str, shape: tuple[int, ...] | None = None
-) -> NDArray[np.float64]:
-    try:
-        array = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        array = np.array(np.nan)
-    if not np.isfinite(array).all() or (shape is not None and array.shape != shape):
-        raise RecordingError(f"{path}: {where} is {value}, expected finite numbers {shape or ''}.")
-    return array
-
-
 def _mapping(
-    value: object, path: Path, where: str,
-    needed: set[str] | None = None, allowed: set[str] | None = None,
-) -> Mapping[str, object]:  # fmt: skip
+    value: object,
+    path: Path,
+    where: str,
+    needed: Set[str] | None = None,  # None: keys are names, which are not checked
+    allowed: Set[str] = frozenset(),
+) -> Mapping[str, object]:
     if not isinstance(value, Mapping):
         raise RecordingError(f"{path}: {where} is {value}, expected keys with values.")
     if needed is not None and (missing := needed - set(value)):
         raise RecordingError(f"{path}: {where} lacks {', '.join(sorted(missing))}.")
-    if needed is not None and (unknown := set(value) - needed - (allowed or set())):
+    if needed is not None and (unknown := set(value) - needed - allowed):
         raise RecordingError(
             f"{path}: {where} has the unknown {', '.join(sorted(map(str, unknown)))}; known are "
-            f"{', '.join(sorted(needed | (allowed or set())))}."
+            f"{', '.join(sorted(needed | allowed))}."
         )
     return value

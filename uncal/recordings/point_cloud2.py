@@ -7,12 +7,15 @@ precision; see http://docs.ros.org/en/noetic/api/sensor_msgs/html/msg/PointCloud
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from uncal.recordings.motion import Spin
+
+if TYPE_CHECKING:  # ROS 2's has the same members
+    from rosbags.typesys.stores.ros1_noetic import sensor_msgs__msg__PointCloud2 as PointCloud2
 
 _FORMATS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """PointField.datatype → numpy type, without its byte order."""
@@ -28,29 +31,6 @@ _LONGEST_SWEEP_S = 1.0
 
 _FEWEST_TIMES = 100
 """Points with a time that tell how fast the LiDAR turns."""
-
-
-class PointField(Protocol):
-    """Where one quantity of a point is; offsets in bytes from the start of the point."""
-
-    name: str
-    offset: int
-    datatype: int
-
-
-class PointCloud2(Protocol):
-    """The members of the message that are used here.
-
-    ``data`` holds ``height`` rows of ``row_step`` bytes; a row, ``width`` points of ``point_step``.
-    """
-
-    height: int
-    width: int
-    fields: Sequence[PointField]
-    is_bigendian: bool
-    point_step: int
-    row_step: int
-    data: NDArray[np.uint8]
 
 
 def read_points(message: PointCloud2, brightest: float = BYTE) -> tuple[NDArray[np.float32], int]:
@@ -84,10 +64,7 @@ def has_intensity(message: PointCloud2) -> bool:
 
 
 def brightest_of(message: PointCloud2) -> float:
-    """The intensity that stands for a reflectance of 1, judged by one message of a recording.
-
-    Returns:
-        :data:`BYTE`; :data:`WORD` where a value is beyond it.
+    """:data:`BYTE` or :data:`WORD`: which intensity is a reflectance of 1, by one message.
 
     Raises:
         ValueError: the message is shorter than it says.

@@ -23,9 +23,6 @@ _BRIGHTNESS = ("intensity", "reflectance", "reflectivity", "i")
 def read_point_file(path: Path) -> tuple[NDArray[np.float32], int]:
     """Read a scan and drop the points that are not finite.
 
-    Args:
-        path: with one of the suffixes of :data:`READERS`.
-
     Returns:
         (N, 4) float32 x, y, z and brightness as the file has them (0 where it has none), N ≥ 1,
         and how many points were dropped.

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from uncal.errors import FrameError
 
@@ -47,22 +50,35 @@ def read_image(path: Path) -> NDArray[np.uint8]:
 
 
 def write_image(path: Path, image: NDArray[np.uint8]) -> int:
-    """Write a PNG.
+    """Write (h, w, 3) RGB as a PNG into an existing folder; returns the bytes written.
 
     OpenCV's own writer reports success where a disk becomes full within the last block.
-
-    Args:
-        path: in an existing folder.
-        image: (h, w, 3) RGB.
-
-    Returns:
-        Bytes written.
 
     Raises:
         OSError: the file could not be written.
     """
     _, encoded = cv2.imencode(".png", np.ascontiguousarray(image[..., ::-1]))
     return path.write_bytes(encoded.tobytes())
+
+
+def image_size(path: Path) -> tuple[int, int] | None:
+    """(H, W) in pixels, as the header says; None for what is no image or cannot be read."""
+    try:
+        with Image.open(path) as image:
+            return image.height, image.width
+    except OSError:
+        return None
+
+
+def usual_size(paths: Sequence[Path]) -> tuple[int, int] | None:
+    """(H, W) that most images of a drive have, of 25 spread evenly over it; None: none is readable.
+
+    A pure function of the files, so that every loading process judges alike.
+    """
+    n = min(len(paths), 25)
+    chosen = [paths[i * len(paths) // n] for i in range(n)]
+    sizes = Counter(size for size in map(image_size, chosen) if size is not None)
+    return min(sizes, key=lambda size: (-sizes[size], size)) if sizes else None
 
 
 def read_scan(path: Path) -> tuple[NDArray[np.float32], int]:
@@ -95,49 +111,32 @@ def read_scan(path: Path) -> tuple[NDArray[np.float32], int]:
 
 
 def read_clock_times(path: Path) -> NDArray[np.float64]:
-    """Read KITTI raw timestamps, ``2011-09-26 13:02:25.964389445`` a line.
-
-    Args:
-        path: the ``timestamps.txt`` of one sensor; a missing one holds no lines.
-
-    Returns:
-        (lines,) seconds since 1970 of the clock time read as UTC; NaN for a line that is no time.
-    """
-    return np.array([_clock_seconds(line) for line in _read_lines(path)], dtype=np.float64)
+    """(lines,) seconds since 1970 of KITTI raw stamps ``2011-09-26 13:02:25.964389445``, or NaN."""
+    return _read_times(path, _clock_seconds)
 
 
 def read_second_times(path: Path) -> NDArray[np.float64]:
-    """Read KITTI odometry timestamps, seconds since the start of the sequence, one a line.
-
-    Args:
-        path: the ``times.txt`` of a sequence; a missing one holds no lines.
-
-    Returns:
-        (lines,) seconds; NaN for a line that is no number.
-    """
-    return np.array([_seconds(line) for line in _read_lines(path)], dtype=np.float64)
+    """(lines,) seconds of KITTI odometry stamps, or NaN; a missing file holds no lines."""
+    return _read_times(path, float)
 
 
 def _clock_seconds(line: str) -> float:
-    try:
-        time = np.datetime64(line.strip(), "ns")
-    except ValueError:
-        return float("nan")
+    time = np.datetime64(line.strip(), "ns")
     return float("nan") if np.isnat(time) else float(time.astype(np.int64)) / 1e9
 
 
-def _seconds(line: str) -> float:
-    try:
-        return float(line)
-    except ValueError:
-        return float("nan")
+def _read_times(path: Path, parse: Callable[[str], float]) -> NDArray[np.float64]:
+    def seconds(line: str) -> float:
+        try:
+            return parse(line)
+        except ValueError:
+            return float("nan")
 
-
-def _read_lines(path: Path) -> list[str]:
     try:
-        return path.read_text(encoding="utf-8", errors="replace").splitlines()
+        lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:
-        return []
+        lines = []
+    return np.array([seconds(line) for line in lines], dtype=np.float64)
 
 
 def _read_bytes(path: Path) -> NDArray[np.uint8]:

@@ -56,11 +56,7 @@ class StaticTransform:
         return np.asarray(turn @ self.covariance @ turn.T)
 
     def write(self, stem: Path) -> list[Path]:
-        """Write ``stem.transform.yaml`` and ``stem.urdf``.
-
-        Args:
-            stem: path without a suffix.
-        """
+        """Write ``stem.transform.yaml`` and ``stem.urdf``; ``stem`` is a path without a suffix."""
         yaml_file = stem.with_name(f"{stem.name}.transform.yaml")
         urdf_file = stem.with_name(f"{stem.name}.urdf")
         stem.parent.mkdir(parents=True, exist_ok=True)

@@ -14,12 +14,7 @@ _MAPPINGS = (dict, collections.abc.Mapping)
 
 
 def annotation_of(target: str, name: str) -> object:
-    """The annotation of a parameter; ``Any`` where there is none that Python can read.
-
-    Args:
-        target: dotted name of the class or function.
-        name: of the parameter.
-    """
+    """The annotation of a parameter; ``Any`` where there is none that Python can read."""
     try:
         made = get_object(target)
         function = made.__init__ if inspect.isclass(made) else made
@@ -30,10 +25,6 @@ def annotation_of(target: str, name: str) -> object:
 
 def conforms(value: object, annotation: object) -> bool:
     """Whether a plain value fits an annotation; what is not understood fits.
-
-    Args:
-        value: as it comes out of YAML.
-        annotation: such as int | None.
 
     >>> conforms(1, float), conforms("a", int | None), conforms(True, int), conforms([1], list[int])
     (True, False, False, True)
@@ -62,10 +53,7 @@ def conforms(value: object, annotation: object) -> bool:
 
 
 def described(annotation: object) -> str:
-    """An annotation for a message.
-
-    Args:
-        annotation: such as int | None.
+    """An annotation, such as int | None, for a message.
 
     >>> described(int | None)
     'int or None'

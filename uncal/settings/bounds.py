@@ -9,145 +9,143 @@ from __future__ import annotations
 from collections.abc import Mapping
 from fnmatch import fnmatchcase
 
-from uncal.geometry.transforms import DOF_NAMES
-from uncal.settings.rules import Either, Flag, Listed, Number, Rule, Text, Words
+from uncal.settings.rules import FLAG, TEXT, Rule, either, listed, number, words
 
-SEED = Number(0, 2**32 - 1, whole=True)
-RATE = Number(0, 1, below=True)
-SHARE = Number(0, 1)
-LEVEL = Number(0, 1, above=True, below=True)
-COUNT = Number(1, 1_000_000, whole=True)
-NAMES = Either(Listed(Text()), Text(), None)
-LEVELS = Listed(LEVEL, distinct=True)
-ROWS = Either(COUNT, Words("auto"), None)
+DOF_NAMES = ("X", "Y", "Z", "Roll", "Pitch", "Yaw")
+SEED = number(0, 2**32 - 1, whole=True)
+RATE = number(0, 1, below=True)
+SHARE = number(0, 1)
+LEVEL = number(0, 1, above=True, below=True)
+COUNT = number(1, 1_000_000, whole=True)
+NAMES = either(listed(TEXT), TEXT, None)
+PATH = either(TEXT, None)
+LEVELS = listed(LEVEL, distinct=True)
+ROWS = either(COUNT, words("auto"), None)
 
 BOUNDS: Mapping[str, Rule] = {
     "*seed": SEED,
-    "ckpt": Either(Text(), None),
-    "store": Either(Text(), None),
-    "weights": Either(Text(), None),
-    "model.weights": Either(Text(), None),
-    "root": Text(),
-    "workers": Either(Number(1, 256, whole=True), None),
-    "device": Words("auto", "cpu", "cuda"),
-    "data_root": Either(Text(), None),
-    "passes": Number(1, 10_000, whole=True),
-    "rounds": Number(1, 10_000, whole=True),
-    "cases.*.size": Listed(Number(32, 4096, whole=True), 2),
-    "cases.*.batches": Listed(COUNT),
-    "compile": Either(Words("auto"), Flag()),
-    "decalibration.rotation_deg": Number(0, 45, above=True),
-    "decalibration.translation_cm": Number(0, 1000, above=True),
-    "guess.rotation_deg": Number(0, 10, above=True),
-    "guess.translation_cm": Number(0, 100, above=True),
+    "ckpt": PATH,
+    "store": PATH,
+    "weights": PATH,
+    "model.weights": PATH,
+    "root": TEXT,
+    "workers": either(number(1, 256, whole=True), None),
+    "device": words("auto", "cpu", "cuda"),
+    "data_root": PATH,
+    "passes": number(1, 10_000, whole=True),
+    "rounds": number(1, 10_000, whole=True),
+    "cases.*.size": listed(number(32, 4096, whole=True), 2),
+    "cases.*.batches": listed(COUNT),
+    "compile": either(words("auto"), FLAG),
+    "decalibration.rotation_deg": number(0, 45, above=True),
+    "decalibration.translation_cm": number(0, 1000, above=True),
+    "guess.rotation_deg": number(0, 10, above=True),
+    "guess.translation_cm": number(0, 100, above=True),
     "guess.frames": COUNT,
-    "recordings": Text(),
+    "recordings": TEXT,
     "augmentation.mirror": SHARE,
     "augmentation.brightness": RATE,
     "augmentation.contrast": SHARE,
-    "window.frames": Number(1, 1000, whole=True),
-    "mcd.passes": Number(1, 10_000, whole=True),
-    "mcd.strategy": Words("auto", "shared", "batch", "loop"),
-    "mcd.masks": Words("random", "fixed"),
+    "window.frames": number(1, 1000, whole=True),
+    "mcd.passes": number(1, 10_000, whole=True),
+    "mcd.strategy": words("auto", "shared", "batch", "loop"),
+    "mcd.masks": words("random", "fixed"),
     "mcd.chunk": ROWS,
-    "mcd.layers": Either(Listed(Text()), None),
-    "mcd.insert.after": Listed(Text()),
-    "mcd.insert.exclude": Listed(Text()),
+    "mcd.layers": either(listed(TEXT), None),
+    "mcd.insert.after": listed(TEXT),
+    "mcd.insert.exclude": listed(TEXT),
     "mcd.insert.p": LEVEL,
     "interval.levels": LEVELS,
     "levels": Either(LEVELS, None),
     "image_size": Listed(Number(32, 4096, whole=True), 2),
     "interval.sigma_floor": SHARE,
-    "interval.quantile_levels": Listed(LEVEL, 2, rising=True),
-    "interval.groups": Words("rig", "drive"),
-    "interval.calibrator.repeats": Number(1, 10_000, whole=True),
-    "source": Text(),
-    "drive": Either(Text(), None),
-    "extrinsic": Either(Text(), None),
-    "topics.*": Either(Text(), None),
-    "tolerance_s": Number(0, 60, above=True),
-    "offset_s": Number(-86_400, 86_400),
+    "interval.quantile_levels": listed(LEVEL, 2, rising=True),
+    "interval.groups": words("rig", "drive"),
+    "interval.calibrator.repeats": number(1, 10_000, whole=True),
+    "source": TEXT,
+    "drive": PATH,
+    "extrinsic": PATH,
+    "topics.*": PATH,
+    "tolerance_s": number(0, 60, above=True),
+    "offset_s": number(-86_400, 86_400),
     "every": COUNT,
-    "dataset.camera": Either(Text(), None),
-    "dataset.lidar": Either(Text(), None),
-    "dataset.workers": Either(Number(0, 256, whole=True), None),
-    "dataset.root": Text(),
-    "dataset.name": Text(),
-    "dataset.label": Text(),
+    "dataset.camera": PATH,
+    "dataset.lidar": PATH,
+    "dataset.workers": either(number(0, 256, whole=True), None),
+    "dataset.root": TEXT,
+    "dataset.name": TEXT,
+    "dataset.label": TEXT,
     "dataset.drives": NAMES,
     "dataset.sequences": NAMES,
     "dataset.recording.drives": NAMES,
     "dataset.recording.sequences": NAMES,
-    "dataset.split_by": Words("frame", "block", "drive", "rig", "official"),
+    "dataset.split_by": words("frame", "block", "drive", "rig", "official"),
     "dataset.mcd_chunk": ROWS,
-    "dataset.image_size": Either(Listed(Number(32, 4096, whole=True), 2), None),
-    "dataset.focal_px": Either(Number(1, 1e5), None),
+    "dataset.image_size": either(listed(number(32, 4096, whole=True), 2), None),
+    "dataset.focal_px": either(number(1, 1e5), None),
     "dataset.max_epochs": COUNT,
     "dataset.validations": COUNT,
     "dataset*.stride": COUNT,
     "stride": COUNT,
-    "overlays": Number(0, 1_000_000, whole=True),
-    "patience_s": Number(0, 1e9),
-    "*_topic": Either(Text(), None),
-    "dataset*.window_ms": Number(0.001, 60_000),
-    "dataset*.min_events": Number(0, 1e9, whole=True),
-    "dataset.loader.batch_size": Number(1, 65_536, whole=True),
-    "dataset.loader.eval_batch_size": Number(1, 65_536, whole=True),
-    "dataset.loader.workers": Number(0, 256, whole=True),
-    "split.by": Words("frame", "block", "drive", "rig", "official"),
-    "split.fractions": Listed(SHARE, 4, total=1),
-    "split.test_drives": Either(Listed(Text()), None),
-    "split.official.fractions": Listed(Number(0, 1, above=True, below=True), 3, total=1),
+    "overlays": number(0, 1_000_000, whole=True),
+    "patience_s": number(0, 1e9),
+    "*_topic": PATH,
+    "dataset*.window_ms": number(0.001, 60_000),
+    "dataset*.min_events": number(0, 1e9, whole=True),
+    "dataset.loader.batch_size": number(1, 65_536, whole=True),
+    "dataset.loader.eval_batch_size": number(1, 65_536, whole=True),
+    "dataset.loader.workers": number(0, 256, whole=True),
+    "split.by": words("frame", "block", "drive", "rig", "official"),
+    "split.fractions": listed(SHARE, 4, total=1),
+    "split.test_drives": either(listed(TEXT), None),
+    "split.official.fractions": listed(number(0, 1, above=True, below=True), 3, total=1),
     "split.official.held_out": LEVEL,
     "split.block_frames": COUNT,
-    "split.block_gap": Number(0, 1_000_000, whole=True),
+    "split.block_gap": number(0, 1_000_000, whole=True),
     "split.unseen_rigs": RATE,
-    "split.train_frames": Either(COUNT, None),
+    "split.train_frames": either(COUNT, None),
     "model.backbone_dropout": RATE,
     "model.head_dropout": RATE,
     "model.*dropout": RATE,
-    "model.start.inflation": Number(1, 1e4),
-    "model.edges": Number(0, 65_536, whole=True),
-    "model.ridge": Number(0, 1e6, above=True),
-    "model.displacement_weight": Number(0, 1e6),
-    "model.inputs.rgb_std": Number(0, 1e6, above=True),
-    "model.inputs.events.bins": Number(1, 1000, whole=True),
-    "model.inputs.events.tau_us": Number(0, 1e9, above=True),
+    "model.start.inflation": number(1, 1e4),
+    "model.edges": number(0, 65_536, whole=True),
+    "model.ridge": number(0, 1e6, above=True),
+    "model.displacement_weight": number(0, 1e6),
+    "model.inputs.rgb_std": number(0, 1e6, above=True),
+    "model.inputs.events.bins": number(1, 1000, whole=True),
+    "model.inputs.events.tau_us": number(0, 1e9, above=True),
     "model.optimization.warmup_fraction": SHARE,
-    "model.optimization.optimizer.lr": Number(0, 1e9, above=True),
-    "model.optimization.optimizer.weight_decay": Number(0, 1e6),
-    "model.*.pretrained": Either(Text(), None),
+    "model.optimization.optimizer.lr": number(0, 1e9, above=True),
+    "model.optimization.optimizer.weight_decay": number(0, 1e6),
+    "model.*.pretrained": PATH,
     "trainer.max_epochs": COUNT,
-    "trainer.gradient_clip_val": Either(Number(0, 1e9), None),
-    "trainer.log_every_n_steps": Number(0, 1_000_000, whole=True),
-    "trainer.num_sanity_val_steps": Number(-1, 1_000_000, whole=True),
-    "trainer.limit_*_batches": Either(Number(0, 1e9, above=True), None),
-    "trainer.devices": Either(
-        Number(-1, 1024, whole=True), Listed(Number(0, 1023, whole=True)), Text()
+    "trainer.gradient_clip_val": either(number(0, 1e9), None),
+    "trainer.log_every_n_steps": number(0, 1_000_000, whole=True),
+    "trainer.num_sanity_val_steps": number(-1, 1_000_000, whole=True),
+    "trainer.limit_*_batches": either(number(0, 1e9, above=True), None),
+    "trainer.devices": either(
+        number(-1, 1024, whole=True), listed(number(0, 1023, whole=True)), TEXT
     ),
-    "trainer.precision": Either(Text(), Number(16, 64, whole=True), None),
+    "trainer.precision": either(TEXT, number(16, 64, whole=True), None),
     "callbacks.*.levels": LEVELS,
     "callbacks.*.level": LEVEL,
-    "callbacks.*.monitored": Either(COUNT, None),
-    "callbacks.*.frames": Number(0, 10_000, whole=True),
-    "callbacks.interval_overlays.dof": Words(*DOF_NAMES),
-    "callbacks.*.every_n_epochs": Either(Number(0, 1_000_000, whole=True), None),
-    "callbacks.checkpoint.monitor": Words(
+    "callbacks.*.monitored": either(COUNT, None),
+    "callbacks.*.frames": number(0, 10_000, whole=True),
+    "callbacks.interval_overlays.dof": words(*DOF_NAMES),
+    "callbacks.*.every_n_epochs": either(number(0, 1_000_000, whole=True), None),
+    "callbacks.checkpoint.monitor": words(
         *("loss/train", "loss/validation", "relative error/mean"),
         *(f"relative error/{name}" for name in DOF_NAMES),
     ),
 }
 
 
-SIZES = Number(0, 8192, whole=True)
+SIZES = number(0, 8192, whole=True)
 """Of whole numbers in a network: beyond, it would not fit into memory."""
 
 
 def bounds_of(key: str) -> Rule | None:
-    """The rule of a key.
-
-    Args:
-        key: dotted.
+    """The rule of a dotted key; None where it has none of its own.
 
     >>> bounds_of("mcd.passes").holds(1.5), bounds_of("model.name")
     (False, None)

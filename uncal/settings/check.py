@@ -14,7 +14,7 @@ from uncal.settings.annotations import annotation_of, conforms, described
 from uncal.settings.bounds import SIZES, bounds_of
 from uncal.settings.guard import task_words
 from uncal.settings.readers import Tree, refuse_unread
-from uncal.settings.rules import Listed, Number, Rule, like
+from uncal.settings.rules import like
 from uncal.settings.shipped import shipped_for_this_job
 
 NEEDED: Mapping[str, str] = {
@@ -38,9 +38,6 @@ def check_settings(config: DictConfig) -> None:
     Within a job of Hydra the shipped configuration says which keys there are and of what kind
     their values are; elsewhere only the bounds count.
 
-    Args:
-        config: as composed, before an entry point changes it.
-
     Raises:
         ConfigurationError: one line for every key at fault.
     """
@@ -53,10 +50,6 @@ def check_settings(config: DictConfig) -> None:
 
 def refuse_values(config: DictConfig, shipped: DictConfig | None) -> None:
     """Refuse values out of their bounds, or of another kind than those that ship.
-
-    Args:
-        config: what a user asked for.
-        shipped: the shipped configuration with the same choices.
 
     Raises:
         ConfigurationError: names key, value and what was expected, a line for each.
@@ -77,10 +70,6 @@ def refuse_removed(words: Sequence[str], shipped: DictConfig) -> None:
     """Refuse ``~key`` of a key that the run reads.
 
     What a class takes may have a default of its own; callbacks and the logger may go.
-
-    Args:
-        words: overrides of the command line.
-        shipped: the shipped configuration with the same choices.
 
     Raises:
         ConfigurationError: names them.
@@ -115,23 +104,12 @@ def _faults(
         yield f"{key}={_shown(value)}: expected a group of keys ({', '.join(default) or 'none'})"
     elif not isinstance(value, dict) or not isinstance(default, dict | None):
         shipped = _shipped_value(default)
-        rule = bounds_of(key) or _by_kind(key, shipped)
+        rule = bounds_of(key) or like(shipped, SIZES if key.startswith("model.") else None)
         if rule is not None and not rule.holds(value):
             hint = "" if shipped is None else f"; the default is {_shown(shipped)}"
-            yield f"{key}={_shown(value)}: expected {rule.expected()}{hint}"
+            yield f"{key}={_shown(value)}: expected {rule.expected}{hint}"
         elif rule is None and known:
             yield from _by_annotation(config, key, value)
-
-
-def _by_kind(key: str, shipped: object) -> Rule | None:
-    rule = like(shipped)
-    if not key.startswith("model."):
-        return rule
-    if isinstance(rule, Number) and rule.whole:
-        return SIZES
-    if isinstance(rule, Listed) and isinstance(rule.each, Number) and rule.each.whole:
-        return Listed(SIZES)
-    return rule
 
 
 def _by_annotation(config: DictConfig, key: str, value: object) -> Iterator[str]:

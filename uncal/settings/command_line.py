@@ -32,20 +32,12 @@ def quote_arguments() -> None:
 
 
 def readable(words: Iterable[str], groups: Path) -> list[str]:
-    """What a person means, in Hydra's words: quotes where it needs them, ``~`` for no group.
-
-    Args:
-        words: of the command line.
-        groups: folder of the configuration groups.
-    """
+    """What a person means, in Hydra's words: quotes where it needs them, ``~`` for no group."""
     return [_without_group(word, groups) for word in quoted(words)]
 
 
 def quoted(words: Iterable[str]) -> list[str]:
     """Quote the values that are one text to a shell but not to Hydra, such as a path with a =.
-
-    Args:
-        words: of the command line.
 
     >>> quoted(["-m", "ckpt=out/a=1 b/best.ckpt", "seed=0,1"])
     ['-m', 'ckpt="out/a=1 b/best.ckpt"', 'seed=0,1']

@@ -22,10 +22,7 @@ _TARGET = re.compile(r"target '([^']+)'")
 
 
 def names_the_setting(*groups: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Make what goes wrong in a function that builds from settings a :class:`ConfigurationError`.
-
-    Args:
-        *groups: of the configuration that the function builds from.
+    """Make what goes wrong in building from groups of settings a :class:`ConfigurationError`.
 
     >>> @names_the_setting("trainer")
     ... def build() -> None:
@@ -54,14 +51,7 @@ def names_the_setting(*groups: str) -> Callable[[Callable[P, R]], Callable[P, R]
 
 
 def explain(error: InstantiationException) -> UncalError:
-    """What Hydra wraps around the error of a class that it makes, unwrapped.
-
-    Args:
-        error: as Hydra raised it.
-
-    Returns:
-        Our own error as it is; another one as a sentence.
-    """
+    """Our own error out of what Hydra wraps around it; another one as a sentence."""
     cause = error.__cause__
     while isinstance(cause, InstantiationException):
         cause = cause.__cause__

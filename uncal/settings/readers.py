@@ -27,10 +27,6 @@ def refuse_unread(config: DictConfig, reference: DictConfig) -> None:
     it, or if another value refers to it. Where the reference holds nothing but groups by name
     (callbacks), there may be more of their kind.
 
-    Args:
-        config: what a user asked for.
-        reference: the shipped configuration with the same choices and no values of the user's.
-
     Raises:
         ConfigurationError: names every such key and the nearest known one.
     """
@@ -83,40 +79,21 @@ ALL = frozenset({"**"})
 def parameters(target: str, key: str) -> frozenset[str]:
     """Keywords that a class or function takes; :data:`ALL` where it takes any.
 
-    Args:
-        target: its dotted name.
-        key: that names it, for the message.
-
-    Raises:
-        ConfigurationError: there is no such thing.
-    """
-    signature = signature_of(target, key)
-    if signature is None:
-        return ALL
-    kinds = [parameter.kind for parameter in signature.parameters.values()]
-    return ALL if inspect.Parameter.VAR_KEYWORD in kinds else frozenset(signature.parameters)
-
-
-def signature_of(target: str, key: str) -> inspect.Signature | None:
-    """Signature of a class or function; None where Python knows none.
-
-    Args:
-        target: its dotted name.
-        key: that names it, for the message.
-
     Raises:
         ConfigurationError: there is no such thing.
     """
     try:
-        return inspect.signature(get_object(target))
+        signature = inspect.signature(get_object(target))
     except (TypeError, ValueError):  # built in
-        return None
+        return ALL
     except Exception as error:
         reason = str(error).strip().splitlines()
         raise ConfigurationError(
             f"{key}={target}: cannot be imported ({reason[-1] if reason else error!r}); expected "
             "the dotted name of a class, such as package.module.Class"
         ) from error
+    kinds = [parameter.kind for parameter in signature.parameters.values()]
+    return ALL if inspect.Parameter.VAR_KEYWORD in kinds else frozenset(signature.parameters)
 
 
 def _referred(node: object) -> Iterator[str]:

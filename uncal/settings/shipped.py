@@ -16,15 +16,7 @@ from uncal.settings.sweep_source import GROUP
 
 
 def shipped_config(name: str, choices: dict[str, str]) -> DictConfig:
-    """Compose a shipped configuration, from shipped files alone.
-
-    Args:
-        name: of the primary configuration, such as train.
-        choices: group → option; one that does not ship is passed over.
-
-    Returns:
-        The composed configuration, without Hydra's own node.
-    """
+    """Compose a shipped configuration from shipped files alone, without Hydra's own node."""
     return _shipped(name, tuple(sorted(choices.items()))).copy()
 
 

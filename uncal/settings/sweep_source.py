@@ -33,28 +33,15 @@ class SweepSource(FileConfigSource):
         return "uncal"
 
     def is_group(self, config_path: str) -> bool:
-        """Whether there is such a folder.
-
-        Args:
-            config_path: relative, such as sweeps/network; empty for the root.
-        """
+        """Whether there is such a folder; empty for the root."""
         return config_path == "" or (_inside(config_path) and super().is_group(config_path))
 
     def is_config(self, config_path: str) -> bool:
-        """Whether there is such a file.
-
-        Args:
-            config_path: relative, such as sweeps/passes.
-        """
+        """Whether there is such a file, such as sweeps/passes."""
         return _inside(config_path) and super().is_config(config_path)
 
     def list(self, config_path: str, results_filter: ObjectType | None) -> list[str]:
-        """Groups and configurations in a folder.
-
-        Args:
-            config_path: relative; empty for the root.
-            results_filter: only groups, or only configurations.
-        """
+        """Groups and configurations in a folder; empty for the root."""
         if config_path:
             return super().list(config_path, results_filter)
         return [] if results_filter == ObjectType.CONFIG else [GROUP]
@@ -64,21 +51,12 @@ class SweepSearchPath(SearchPathPlugin):
     """Puts :class:`SweepSource` after the configuration of every entry point."""
 
     def manipulate_search_path(self, search_path: ConfigSearchPath) -> None:
-        """Add it.
-
-        Args:
-            search_path: where Hydra looks.
-        """
+        """Add it."""
         search_path.append("uncal", f"{SweepSource.scheme()}://{GROUP}")
 
 
 def sweeps_parent(package: Path) -> Path:
-    """The folder that holds ``sweeps``.
-
-    Args:
-        package: folder of the installed package; a checkout has ``sweeps`` beside it, a wheel in
-            it.
-    """
+    """The folder that holds ``sweeps``: the checkout, or the package of a wheel."""
     beside = package.parent
     return beside if (beside / GROUP / "passes.yaml").is_file() else package
 

@@ -11,16 +11,19 @@ from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from typing import Annotated, ClassVar
 
 import numpy as np
 
 from uncal.errors import ConfigurationError
 from uncal.events.stream import Events
 from uncal.recordings.frame import Frame
+from uncal.settings import rules
+from uncal.settings.group import SettingsGroup
 
 
 @dataclass(frozen=True)
-class Fault(ABC):
+class Fault(SettingsGroup, ABC):
     """A fault of a stream; all other frames pass as they are.
 
     Attributes:
@@ -32,11 +35,8 @@ class Fault(ABC):
     last: int
 
     def __post_init__(self) -> None:
-        """Check the frames.
-
-        Raises:
-            ConfigurationError: no frame would be faulty, or another setting is out of its range.
-        """
+        """Check the frames; no frame faulty is a :class:`ConfigurationError`."""
+        super().__post_init__()
         if not 0 <= self.first <= self.last:
             raise ConfigurationError(
                 f"{type(self).__name__}: first={self.first}, last={self.last}; expected "
@@ -45,11 +45,7 @@ class Fault(ABC):
 
     @abstractmethod
     def __call__(self, frames: Iterable[Frame]) -> Iterator[Frame]:
-        """The stream with the fault in it, as many frames with the same names and times.
-
-        Args:
-            frames: of one drive, in order.
-        """
+        """The stream with the fault in it, as many frames with the same names and times."""
 
     def hits(self, number: int) -> bool:
         """Whether a frame of the stream is faulty."""
@@ -65,14 +61,9 @@ class DroppedReturns(Fault):
         seed: of the losses.
     """
 
-    share: float
+    key: ClassVar[str] = "DroppedReturns"
+    share: Annotated[float, rules.number(0, 1, above=True)]
     seed: int = 0
-
-    def __post_init__(self) -> None:
-        """Check share and frames."""
-        super().__post_init__()
-        if not 0.0 < self.share <= 1.0:
-            raise ConfigurationError(f"DroppedReturns: share={self.share}; expected within (0, 1]")
 
     def __call__(self, frames: Iterable[Frame]) -> Iterator[Frame]:
         """The stream with fewer points."""
@@ -139,13 +130,8 @@ class ClockOffset(Fault):
             there.
     """
 
-    frames: int = 1
-
-    def __post_init__(self) -> None:
-        """Check offset and frames."""
-        super().__post_init__()
-        if self.frames < 1:
-            raise ConfigurationError(f"ClockOffset: frames={self.frames}; expected at least 1")
+    key: ClassVar[str] = "ClockOffset"
+    frames: Annotated[int, rules.number(1, 1_000_000, whole=True)] = 1
 
     def __call__(self, frames: Iterable[Frame]) -> Iterator[Frame]:
         """The stream with late images, or late events."""

@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 import json
+import logging
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from uncal.errors import RecordingError
-from uncal.simulation.formats.layouts import all_folders
+from uncal.simulation.formats.layouts import PARTIAL_PREFIX, is_own_folder, layout_of
 from uncal.simulation.settings import VERSION, SimulationSettings
+from uncal.system.locking import locked
+
+log = logging.getLogger(__name__)
 
 MANIFEST_NAME = "simulation.json"
 LOCK_NAME = ".simulation.lock"
@@ -45,6 +52,7 @@ class Manifest:
     @classmethod
     def of(cls, settings: SimulationSettings, finished: bool) -> Manifest:
         """The manifest of a simulation with these settings."""
+        layout = layout_of(settings)
         return cls(
             generator=GENERATOR,
             simulated=True,
@@ -53,7 +61,7 @@ class Manifest:
             version=VERSION,
             seed=settings.seed,
             n_frames=settings.n_frames,
-            dates=all_folders(settings),
+            dates=[folder for rig in range(settings.n_rigs) for folder in layout.folders(rig)],
             settings=settings.as_dict(),
         )
 
@@ -70,11 +78,11 @@ def read_manifest(root: Path) -> Manifest | None:
     Raises:
         RecordingError: the folder holds something that this simulator did not write.
     """
+    if root.exists() and not root.is_dir():
+        raise RecordingError(f"{root} is a file; name a folder for the simulation")
     found = sorted(entry.name for entry in root.iterdir()) if root.is_dir() else []
     # A process that is killed before its first manifest is whole leaves these alone.
     found = [name for name in found if name not in (LOCK_NAME, DRAFT_NAME)]
-    if root.exists() and not root.is_dir():
-        raise RecordingError(f"{root} is a file; name a folder for the simulation")
     if not found:
         return None
     remedy = "name another folder for the simulation, or empty this one yourself"
@@ -96,3 +104,56 @@ def read_manifest(root: Path) -> Manifest | None:
             f"{remedy}"
         )
     return manifest
+
+
+@contextmanager
+def missing_rigs(settings: SimulationSettings, root: Path) -> Iterator[list[int]]:
+    """Hold a folder while the caller simulates what is missing in it, which makes it finished.
+
+    A simulation of other settings or of another version of the simulator is removed first.
+
+    Yields:
+        Numbers of the rigs that are not there as a whole.
+
+    Raises:
+        RecordingError: ``root`` holds something that this simulator did not write; it is left
+            untouched.
+    """
+    read_manifest(root)
+    root.mkdir(parents=True, exist_ok=True)
+    with locked(root / LOCK_NAME, f"simulates into {root}"):
+        present = read_manifest(root)
+        if present is not None and present.fingerprint != settings.fingerprint():
+            log.warning(
+                "%s holds a simulation with other settings or of another version (%s, wanted %s): "
+                "replacing it",
+                *(root, present.fingerprint, settings.fingerprint()),
+            )
+            _remove(root, present.dates)
+            present = None
+        layout, n = layout_of(settings), settings.n_rigs
+        missing = [rig for rig in range(n) if not layout.is_complete(rig, root)]
+        if present is not None and present.finished and not missing:
+            log.info("reusing the simulation in %s (%d frames)", root, settings.n_frames)
+            yield []
+            return
+        if present is not None and len(missing) < n:
+            sentence = "%s is incomplete: %d of %d rigs are simulated again"
+            log.warning(sentence, root, len(missing), n)
+        # Only now: a removal that is cut short must still find the old list of folders.
+        Manifest.of(settings, finished=False).write(root)
+        for leftover in root.glob(f"{PARTIAL_PREFIX}*"):
+            shutil.rmtree(leftover)
+        yield missing
+        Manifest.of(settings, finished=True).write(root)
+
+
+def _remove(root: Path, folders: list[str]) -> None:
+    """Remove a simulation's own folders, nothing else, whatever its manifest has been edited to."""
+    own = [root / folder for folder in folders if is_own_folder(folder)]
+    for folder in own:
+        if folder.is_dir():
+            shutil.rmtree(folder)
+    for parent in {folder.parent for folder in own} - {root}:
+        if parent.is_dir() and not any(parent.iterdir()):
+            parent.rmdir()

@@ -12,14 +12,7 @@ def pose_matrix(
     translation: tuple[float, float, float] | NDArray[np.float64],
     euler: tuple[float, float, float] | NDArray[np.float64],
 ) -> Matrix:
-    """Homogeneous transform, R = Rz(yaw) · Ry(pitch) · Rx(roll).
-
-    Args:
-        translation: x, y, z in metres.
-        euler: roll, pitch, yaw in radians.
-
-    Returns:
-        (4, 4) transform.
+    """(4, 4) transform, R = Rz(yaw) · Ry(pitch) · Rx(roll); x, y, z in metres, angles in radians.
 
     >>> pose_matrix((1, 2, 3), (0, 0, np.pi / 2)).round().astype(int).tolist()
     [[0, -1, 0, 1], [1, 0, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]]

@@ -12,7 +12,8 @@ from dataclasses import asdict, dataclass
 from typing import Annotated, ClassVar
 
 from uncal.errors import ConfigurationError
-from uncal.simulation.settings_group import SettingsGroup, Within
+from uncal.settings.group import SettingsGroup
+from uncal.settings.rules import FLAG, number
 
 VERSION = 3
 """Raised whenever the same settings would no longer give the same files."""
@@ -30,18 +31,18 @@ class CameraSettings(SettingsGroup):
     """The pinhole camera; see the YAML for units."""
 
     key: ClassVar[str] = "simulation.camera"
-    height: Annotated[int, Within(8, 4096)]
-    width: Annotated[int, Within(8, 4096)]
-    focal_px: Annotated[float, Within(4.0, 10000.0)]
-    supersampling: Annotated[int, Within(1, 8)]
-    shadows: bool
-    exposure: Annotated[float, Within(0.05, 20.0)]
-    noise: Annotated[float, Within(0.0, 0.5)]
-    vignetting: Annotated[float, Within(0.0, 1.0)]
-    haze_m: Annotated[float, Within(10.0, 1e6)]
-    exposure_stops: Annotated[float, Within(0.0, 4.0)] = 0.0
-    tint: Annotated[float, Within(0.0, 0.9)] = 0.0
-    blur_px: Annotated[float, Within(0.0, 10.0)] = 0.0
+    height: Annotated[int, number(8, 4096, whole=True)]
+    width: Annotated[int, number(8, 4096, whole=True)]
+    focal_px: Annotated[float, number(4.0, 10000.0)]
+    supersampling: Annotated[int, number(1, 8, whole=True)]
+    shadows: Annotated[bool, FLAG]
+    exposure: Annotated[float, number(0.05, 20.0)]
+    noise: Annotated[float, number(0.0, 0.5)]
+    vignetting: Annotated[float, number(0.0, 1.0)]
+    haze_m: Annotated[float, number(10.0, 1e6)]
+    exposure_stops: Annotated[float, number(0.0, 4.0)] = 0.0
+    tint: Annotated[float, number(0.0, 0.9)] = 0.0
+    blur_px: Annotated[float, number(0.0, 10.0)] = 0.0
 
 
 @dataclass(frozen=True)
@@ -49,22 +50,22 @@ class LidarSettings(SettingsGroup):
     """The spinning LiDAR; see the YAML for units."""
 
     key: ClassVar[str] = "simulation.lidar"
-    beams: Annotated[int, Within(1, 512)]
-    elevation_min_deg: Annotated[float, Within(-89.0, 89.0)]
-    elevation_max_deg: Annotated[float, Within(-89.0, 89.0)]
-    beam_jitter_deg: Annotated[float, Within(0.0, 2.0)]
-    azimuth_step_deg: Annotated[float, Within(0.01, 45.0)]
-    azimuth_fov_deg: Annotated[float, Within(1.0, 360.0)]
-    range_min_m: Annotated[float, Within(0.0, 50.0)]
-    range_max_m: Annotated[float, Within(1.0, 500.0)]
-    range_noise_m: Annotated[float, Within(0.0, 1.0)]
-    reflectance_noise: Annotated[float, Within(0.0, 1.0)]
-    dropout: Annotated[float, Within(0.0, 0.99)]
-    hdl64: bool = False
-    range_bias_m: Annotated[float, Within(0.0, 0.5)] = 0.0
-    stagger: bool = False
-    motion_distortion: bool = False
-    laser_gain: Annotated[float, Within(0.0, 3.0)] = 0.0
+    beams: Annotated[int, number(1, 512, whole=True)]
+    elevation_min_deg: Annotated[float, number(-89.0, 89.0)]
+    elevation_max_deg: Annotated[float, number(-89.0, 89.0)]
+    beam_jitter_deg: Annotated[float, number(0.0, 2.0)]
+    azimuth_step_deg: Annotated[float, number(0.01, 45.0)]
+    azimuth_fov_deg: Annotated[float, number(1.0, 360.0)]
+    range_min_m: Annotated[float, number(0.0, 50.0)]
+    range_max_m: Annotated[float, number(1.0, 500.0)]
+    range_noise_m: Annotated[float, number(0.0, 1.0)]
+    reflectance_noise: Annotated[float, number(0.0, 1.0)]
+    dropout: Annotated[float, number(0.0, 0.99)]
+    hdl64: Annotated[bool, FLAG] = False
+    range_bias_m: Annotated[float, number(0.0, 0.5)] = 0.0
+    stagger: Annotated[bool, FLAG] = False
+    motion_distortion: Annotated[bool, FLAG] = False
+    laser_gain: Annotated[float, number(0.0, 3.0)] = 0.0
 
     def __post_init__(self) -> None:
         """Check bounds and the order of pairs."""
@@ -79,13 +80,13 @@ class RigSettings(SettingsGroup):
     """How one rig (date folder) differs from the next."""
 
     key: ClassVar[str] = "simulation.rig"
-    rotation_deg: Annotated[float, Within(0.0, 30.0)]
-    translation_cm: Annotated[float, Within(0.0, 200.0)]
-    focal_percent: Annotated[float, Within(0.0, 50.0)]
-    principal_point_px: Annotated[float, Within(0.0, 200.0)]
-    lidar_attitude_deg: Annotated[float, Within(0.0, 30.0)]
-    lidar_height_m: Annotated[float, Within(0.3, 10.0)]
-    lidar_height_variation_m: Annotated[float, Within(0.0, 2.0)]
+    rotation_deg: Annotated[float, number(0.0, 30.0)]
+    translation_cm: Annotated[float, number(0.0, 200.0)]
+    focal_percent: Annotated[float, number(0.0, 50.0)]
+    principal_point_px: Annotated[float, number(0.0, 200.0)]
+    lidar_attitude_deg: Annotated[float, number(0.0, 30.0)]
+    lidar_height_m: Annotated[float, number(0.3, 10.0)]
+    lidar_height_variation_m: Annotated[float, number(0.0, 2.0)]
 
 
 @dataclass(frozen=True)
@@ -93,13 +94,13 @@ class VehicleSettings(SettingsGroup):
     """How the vehicle moves along the street and sways."""
 
     key: ClassVar[str] = "simulation.vehicle"
-    speed_mps: Annotated[float, Within(0.0, 60.0)]
-    frame_interval_s: Annotated[float, Within(0.001, 100.0)]
-    attitude_deg: Annotated[float, Within(0.0, 20.0)]
-    height_m: Annotated[float, Within(0.0, 0.5)]
-    heading_deg: Annotated[float, Within(0.0, 30.0)]
-    drift_m: Annotated[float, Within(0.0, 1.5)]
-    speed_variation: Annotated[float, Within(0.0, 0.99)] = 0.0
+    speed_mps: Annotated[float, number(0.0, 60.0)]
+    frame_interval_s: Annotated[float, number(0.001, 100.0)]
+    attitude_deg: Annotated[float, number(0.0, 20.0)]
+    height_m: Annotated[float, number(0.0, 0.5)]
+    heading_deg: Annotated[float, number(0.0, 30.0)]
+    drift_m: Annotated[float, number(0.0, 1.5)]
+    speed_variation: Annotated[float, number(0.0, 0.99)] = 0.0
 
 
 @dataclass(frozen=True)
@@ -107,18 +108,18 @@ class SceneSettings(SettingsGroup):
     """How densely the street is furnished."""
 
     key: ClassVar[str] = "simulation.scene"
-    view_m: Annotated[float, Within(40.0, 400.0)]
-    bend_deg: Annotated[float, Within(0.0, 10.0)]
-    slope_deg: Annotated[float, Within(0.0, 5.0)]
-    crossing_probability: Annotated[float, Within(0.0, 1.0)]
-    building_gap_probability: Annotated[float, Within(0.0, 1.0)]
-    building_height_m: Annotated[float, Within(2.5, 60.0)]
-    parked_cars_per_100m: Annotated[float, Within(0.0, 30.0)]
-    moving_cars_per_100m: Annotated[float, Within(0.0, 15.0)]
-    poles_per_100m: Annotated[float, Within(0.0, 60.0)]
-    trees_per_100m: Annotated[float, Within(0.0, 60.0)]
-    pedestrians_per_100m: Annotated[float, Within(0.0, 100.0)]
-    clutter_per_100m: Annotated[float, Within(0.0, 200.0)]
+    view_m: Annotated[float, number(40.0, 400.0)]
+    bend_deg: Annotated[float, number(0.0, 10.0)]
+    slope_deg: Annotated[float, number(0.0, 5.0)]
+    crossing_probability: Annotated[float, number(0.0, 1.0)]
+    building_gap_probability: Annotated[float, number(0.0, 1.0)]
+    building_height_m: Annotated[float, number(2.5, 60.0)]
+    parked_cars_per_100m: Annotated[float, number(0.0, 30.0)]
+    moving_cars_per_100m: Annotated[float, number(0.0, 15.0)]
+    poles_per_100m: Annotated[float, number(0.0, 60.0)]
+    trees_per_100m: Annotated[float, number(0.0, 60.0)]
+    pedestrians_per_100m: Annotated[float, number(0.0, 100.0)]
+    clutter_per_100m: Annotated[float, number(0.0, 200.0)]
 
 
 @dataclass(frozen=True)
@@ -126,17 +127,17 @@ class EventSettings(SettingsGroup):
     """The event camera, and the motion that it needs; see the YAML for units."""
 
     key: ClassVar[str] = "simulation.events"
-    window_ms: Annotated[float, Within(1.0, 1000.0)]
-    subframes: Annotated[int, Within(1, 1000)]
-    threshold_on: Annotated[float, Within(0.02, 2.0)]
-    threshold_off: Annotated[float, Within(0.02, 2.0)]
-    threshold_mismatch: Annotated[float, Within(0.0, 0.5)]
-    refractory_us: Annotated[float, Within(0.0, 1e5)]
-    noise_hz: Annotated[float, Within(0.0, 1000.0)]
-    dark: Annotated[float, Within(1e-4, 1.0)]
-    distortion: Annotated[float, Within(-0.3, 0.3)]
-    yaw_rate_deg_s: Annotated[float, Within(0.0, 90.0)]
-    sway_rate_deg_s: Annotated[float, Within(0.0, 90.0)]
+    window_ms: Annotated[float, number(1.0, 1000.0)]
+    subframes: Annotated[int, number(1, 1000, whole=True)]
+    threshold_on: Annotated[float, number(0.02, 2.0)]
+    threshold_off: Annotated[float, number(0.02, 2.0)]
+    threshold_mismatch: Annotated[float, number(0.0, 0.5)]
+    refractory_us: Annotated[float, number(0.0, 1e5)]
+    noise_hz: Annotated[float, number(0.0, 1000.0)]
+    dark: Annotated[float, number(1e-4, 1.0)]
+    distortion: Annotated[float, number(-0.3, 0.3)]
+    yaw_rate_deg_s: Annotated[float, number(0.0, 90.0)]
+    sway_rate_deg_s: Annotated[float, number(0.0, 90.0)]
 
 
 @dataclass(frozen=True)
@@ -144,17 +145,17 @@ class MotionSettings(SettingsGroup):
     """How the LiDAR moves in its mount during every drive; see the YAML for units."""
 
     key: ClassVar[str] = "simulation.motion"
-    first_frame: Annotated[int, Within(0, 1_000_000)]
-    ramp_frames: Annotated[int, Within(1, 1_000_000)]
-    x_cm: Annotated[float, Within(-100.0, 100.0)]
-    y_cm: Annotated[float, Within(-100.0, 100.0)]
-    z_cm: Annotated[float, Within(-100.0, 100.0)]
-    roll_deg: Annotated[float, Within(-10.0, 10.0)]
-    pitch_deg: Annotated[float, Within(-10.0, 10.0)]
-    yaw_deg: Annotated[float, Within(-10.0, 10.0)]
-    vibration_cm: Annotated[float, Within(0.0, 20.0)]
-    vibration_deg: Annotated[float, Within(0.0, 5.0)]
-    vibration_hz: Annotated[float, Within(0.0, 1000.0)]
+    first_frame: Annotated[int, number(0, 1_000_000, whole=True)]
+    ramp_frames: Annotated[int, number(1, 1_000_000, whole=True)]
+    x_cm: Annotated[float, number(-100.0, 100.0)]
+    y_cm: Annotated[float, number(-100.0, 100.0)]
+    z_cm: Annotated[float, number(-100.0, 100.0)]
+    roll_deg: Annotated[float, number(-10.0, 10.0)]
+    pitch_deg: Annotated[float, number(-10.0, 10.0)]
+    yaw_deg: Annotated[float, number(-10.0, 10.0)]
+    vibration_cm: Annotated[float, number(0.0, 20.0)]
+    vibration_deg: Annotated[float, number(0.0, 5.0)]
+    vibration_hz: Annotated[float, number(0.0, 1000.0)]
 
 
 @dataclass(frozen=True)
@@ -167,10 +168,10 @@ class SimulationSettings(SettingsGroup):
     """
 
     key: ClassVar[str] = "simulation"
-    seed: Annotated[int, Within(0, 2**63 - 1)]
-    n_rigs: Annotated[int, Within(1, MAX_RIGS)]
-    drives_per_rig: Annotated[int, Within(1, 9999)]
-    frames_per_drive: Annotated[int, Within(1, 1_000_000)]
+    seed: Annotated[int, number(0, 2**63 - 1, whole=True)]
+    n_rigs: Annotated[int, number(1, MAX_RIGS, whole=True)]
+    drives_per_rig: Annotated[int, number(1, 9999, whole=True)]
+    frames_per_drive: Annotated[int, number(1, 1_000_000, whole=True)]
     camera: CameraSettings
     lidar: LidarSettings
     rig: RigSettings

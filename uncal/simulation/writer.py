@@ -15,12 +15,10 @@ from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 
-from uncal.errors import ConfigurationError, RecordingError
+from uncal.errors import RecordingError
 from uncal.simulation.formats.drive import Piece
-from uncal.simulation.formats.layouts import Layout, layout_of
-from uncal.simulation.manifest import LOCK_NAME, Manifest, read_manifest
+from uncal.simulation.formats.layouts import PARTIAL_PREFIX, Layout, layout_of
 from uncal.simulation.settings import SimulationSettings
-from uncal.system.locking import locked
 from uncal.system.memory import keep_freed_memory
 from uncal.system.progress import progress_bar
 
@@ -29,62 +27,7 @@ log = logging.getLogger(__name__)
 PIECE_FRAMES = 50
 """Frames of a drive that one task simulates; fixed, so that results never depend on the machine."""
 
-PARTIAL_PREFIX = ".partial_"
-
 THREAD_LIMITS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-
-
-def simulate(
-    settings: SimulationSettings,
-    root: Path,
-    workers: int | None = None,
-    progress: bool = True,
-) -> None:
-    """Write a simulation; rigs that are already complete are kept.
-
-    The result depends on the settings alone, not on the number of processes.
-
-    Args:
-        settings: what to simulate.
-        root: folder for the recordings; created if missing.
-        workers: processes; None: one per available core.
-        progress: whether to show a progress bar.
-
-    Raises:
-        RecordingError: ``root`` holds something else, or a simulation with other settings; or a
-            worker died.
-        ConfigurationError: ``workers`` is not positive.
-    """
-    read_manifest(root)
-    root.mkdir(parents=True, exist_ok=True)
-    with locked(root / LOCK_NAME, f"simulates into {root}"):
-        write_missing(settings, root, workers, progress)
-
-
-def write_missing(
-    settings: SimulationSettings, root: Path, workers: int | None, progress: bool
-) -> None:
-    """What :func:`simulate` does, for a caller that holds the lock of ``root`` already."""
-    if workers is not None and (not isinstance(workers, int) or workers < 1):
-        raise ConfigurationError(f"workers is {workers!r}; it must be at least 1, or null for all")
-    present = read_manifest(root)
-    if present is not None and present.fingerprint != settings.fingerprint():
-        raise RecordingError(
-            f"{root} holds a simulation with other settings ({present.fingerprint}, wanted "
-            f"{settings.fingerprint()}); name another folder, or use ensure_simulated to replace it"
-        )
-    Manifest.of(settings, finished=False).write(root)
-    for leftover in root.glob(f"{PARTIAL_PREFIX}*"):
-        shutil.rmtree(leftover)
-    layout = layout_of(settings)
-    todo = [index for index in range(settings.n_rigs) if not layout.is_complete(index, root)]
-    if todo:
-        begin = time.perf_counter()
-        _simulate_rigs(settings, root, todo, workers or available_cores(), progress)
-        seconds = time.perf_counter() - begin
-        frames = len(todo) * settings.drives_per_rig * settings.frames_per_drive
-        log.info("simulated %d frames in %.1f s (%.1f/s)", frames, seconds, frames / seconds)
-    Manifest.of(settings, finished=True).write(root)
 
 
 def available_cores() -> int:
@@ -94,12 +37,18 @@ def available_cores() -> int:
     return os.cpu_count() or 1
 
 
-def _simulate_rigs(
+def write_rigs(
     settings: SimulationSettings, root: Path, todo: list[int], workers: int, progress: bool
 ) -> None:
+    """Simulate rigs; the caller holds the lock of ``root``.
+
+    Raises:
+        RecordingError: a file could not be written, or a worker died.
+    """
+    begin = time.perf_counter()
     layout = layout_of(settings)
     partial = {index: root / f"{PARTIAL_PREFIX}{index:04d}" for index in todo}
-    pieces = [piece for index in todo for piece in _pieces(settings, index)]
+    pieces = [piece for index in todo for piece in pieces_of(settings, index)]
     open_pieces = dict.fromkeys(todo, len(pieces) // len(todo))
     per_rig = settings.drives_per_rig * settings.frames_per_drive
     bar = progress_bar(
@@ -110,7 +59,7 @@ def _simulate_rigs(
         quiet=not progress,
     )
     with _process_pool(min(workers, len(pieces))) as pool, bar:
-        futures: dict[Future[int], Piece] = {}
+        futures: dict[Future[None], Piece] = {}
         for index in todo:
             layout.prepare(index, partial[index])
         for piece in pieces:
@@ -132,9 +81,11 @@ def _simulate_rigs(
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
+    seconds, frames = time.perf_counter() - begin, per_rig * len(todo)
+    log.info("simulated %d frames in %.1f s (%.1f/s)", frames, seconds, frames / seconds)
 
 
-def _pieces(settings: SimulationSettings, index: int) -> list[Piece]:
+def pieces_of(settings: SimulationSettings, index: int) -> list[Piece]:
     """The tasks of one rig."""
     total = settings.frames_per_drive
     return [

@@ -4,9 +4,14 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Mapping
+from typing import cast
 
 from uncal.errors import ConfigurationError
 from uncal.recordings.frame import FrameId
+from uncal.settings.rules import number, require
+
+BLOCK = number(1, 1_000_000, whole=True)
+"""Frames of a block."""
 
 
 def blocks(frame_ids: Iterable[FrameId], length: int | None) -> dict[str, list[FrameId]]:
@@ -36,20 +41,13 @@ def blocks(frame_ids: Iterable[FrameId], length: int | None) -> dict[str, list[F
 def leave_gaps(
     splits: Mapping[str, list[FrameId]], length: int | None, gap: int
 ) -> dict[str, list[FrameId]]:
-    """Leave out the last frames of every block that the next block of its drive does not join.
-
-    Args:
-        splits: split → its frames, made of whole blocks.
-        length: frames of a block.
-        gap: how many frames to leave out where blocks of different splits meet; 0: none.
-
-    Returns:
-        Split → the frames that are left, in the same order.
+    """Leave out the last ``gap`` frames of every block that the next one does not join.
 
     Raises:
         ConfigurationError: ``gap`` is negative, or so large that it could take a whole block.
     """
-    if not isinstance(gap, int) or gap < 0 or (gap > 0 and 2 * gap >= _positive(length)):
+    require("split.block_frames", length, BLOCK)
+    if not isinstance(gap, int) or gap < 0 or (gap > 0 and 2 * gap >= cast(int, length)):
         raise ConfigurationError(
             f"split.block_gap={gap}: expected 0 or more frames, and fewer than half a block "
             f"(split.block_frames={length}): lower it, or raise split.block_frames"
@@ -71,7 +69,8 @@ def _cut(
     frame_ids: Iterable[FrameId], length: int | None
 ) -> dict[tuple[str, str], list[list[FrameId]]]:
     """(Rig, drive) → its blocks in order."""
-    step = _positive(length)
+    require("split.block_frames", length, BLOCK)
+    step = cast(int, length)
     drives: dict[tuple[str, str], list[FrameId]] = {}
     for frame_id in frame_ids:
         drives.setdefault((frame_id.rig, frame_id.drive), []).append(frame_id)
@@ -84,12 +83,3 @@ def _cut(
         ends = [*starts[1:], len(frames)]
         cut[drive] = [frames[start:end] for start, end in zip(starts, ends, strict=True)]
     return cut
-
-
-def _positive(length: int | None) -> int:
-    if not isinstance(length, int) or length < 1:
-        raise ConfigurationError(
-            f"split.block_frames={length}: expected the frames of a block, a whole number of at "
-            "least 1, say 20"
-        )
-    return length

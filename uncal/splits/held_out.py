@@ -4,24 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from fnmatch import fnmatchcase
 
 from uncal.errors import ConfigurationError
+from uncal.recordings.folder_listing import choose
 from uncal.recordings.frame import FrameId
+from uncal.settings.rules import either, number, require
 from uncal.splits.splits import by_name, seeded_hash
 
 
 def hold_out_drives(
     frame_ids: Sequence[FrameId], patterns: Sequence[str]
 ) -> tuple[list[FrameId], list[FrameId]]:
-    """Drives chosen by name, and the others.
-
-    Args:
-        frame_ids: all frames.
-        patterns: names or shell patterns of drives.
-
-    Returns:
-        The frames of the chosen drives, by name, and the others in their order.
+    """Frames of the drives chosen by names or shell patterns, sorted; and the others.
 
     Raises:
         ConfigurationError: a pattern matches no drive, or no other drive remains.
@@ -31,15 +25,9 @@ def hold_out_drives(
     [1, 2]
     """
     drives = sorted({frame_id.drive for frame_id in frame_ids})
-    for pattern in patterns:
-        if not any(fnmatchcase(drive, pattern) for drive in drives):
-            raise ConfigurationError(
-                f"split.test_drives: no drive matches {pattern}; there are {', '.join(drives[:5])}"
-                + (f" and {len(drives) - 5} more" if len(drives) > 5 else "")
-            )
-    chosen = {drive for drive in drives for pattern in patterns if fnmatchcase(drive, pattern)}
+    chosen = set(choose({name: [name] for name in drives}, patterns, "split.test_drives"))
     others = [frame_id for frame_id in frame_ids if frame_id.drive not in chosen]
-    if not others or not chosen:
+    if not others:
         raise ConfigurationError(
             f"split.test_drives={list(patterns)} names {len(chosen)} of {len(drives)} drive(s): "
             "expected at least one, and others to calibrate on"
@@ -50,15 +38,7 @@ def hold_out_drives(
 def hold_out_rigs(
     frame_ids: Sequence[FrameId], share: float, seed: int
 ) -> tuple[list[FrameId], list[FrameId]]:
-    """Hold out rigs before anything is split, the same ones whatever the split is by.
-
-    Args:
-        frame_ids: all frames.
-        share: of the rigs, in [0, 1); rounded to whole rigs, at least one if above 0.
-        seed: another seed, other rigs.
-
-    Returns:
-        The frames that remain, in their order, and those of the held-out rigs, by name.
+    """The frames that remain, and those of a share of the rigs: the same whatever the split is by.
 
     Raises:
         ConfigurationError: ``share`` is out of range, or no rig would remain.
@@ -72,12 +52,7 @@ def hold_out_rigs(
         {frame_id.rig for frame_id in frame_ids},
         key=lambda rig: seeded_hash(seed, f"unseen:{rig}"),
     )
-    # Not "share < 0 or share >= 1", which lets NaN pass.
-    if not 0 <= share < 1:
-        raise ConfigurationError(
-            f"split.unseen_rigs={share}: expected a share of the {len(rigs)} rig(s), 0 or more and "
-            "below 1, say 0.2"
-        )
+    require("split.unseen_rigs", share, number(0, 1, below=True))
     n_out = max(1, math.floor(share * len(rigs) + 0.5)) if share > 0 else 0
     if 0 < n_out >= len(rigs):
         raise ConfigurationError(
@@ -104,10 +79,7 @@ def cap_training(training: Sequence[FrameId], n: int, seed: int) -> list[FrameId
     >>> len(cap_training(training, 30, seed=0))
     30
     """
-    if not isinstance(n, int) or n < 1:
-        raise ConfigurationError(
-            f"split.train_frames={n}: expected a whole number of at least 1, or null for all"
-        )
+    require("split.train_frames", n, either(number(1, 1e9, whole=True), None))
     if n > len(training):
         raise ConfigurationError(
             f"split.train_frames={n}, but this split has {len(training)} training frames: set "

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 from uncal.errors import ConfigurationError
 from uncal.recordings.frame import FrameId
+from uncal.settings.rules import require, words
 from uncal.splits.blocks import blocks, leave_gaps
 from uncal.splits.held_out import cap_training, hold_out_drives, hold_out_rigs
 from uncal.splits.sequence_split import FrameSplit, OfficialSettings, split_officially
@@ -113,11 +114,7 @@ class SplitSettings:
                 "split.test_drives says which drives test; so do split.by=official and "
                 "split.unseen_rigs: choose one of them"
             )
-        if self.test not in TESTERS:
-            raise ConfigurationError(
-                f"split.test={self.test}: expected own (the split's own test part) or unseen (the "
-                "rigs that split.unseen_rigs holds out)"
-            )
+        require("split.test", self.test, words(*TESTERS))
         if self.test == "unseen" and self.unseen_rigs == 0:
             raise ConfigurationError(
                 "split.test=unseen tests on the rigs held out before the split, but "

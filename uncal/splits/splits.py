@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import hashlib
-import math
+from collections import Counter
 from collections.abc import Iterable, Sequence
 
 from uncal.errors import ConfigurationError
 from uncal.recordings.frame import FrameId
+from uncal.settings.rules import listed, number, require, words
 from uncal.splits.blocks import blocks
 
 SPLITS: tuple[str, ...] = ("train", "validation", "uncertainty_calibration", "test")
@@ -16,7 +17,7 @@ SPLITS: tuple[str, ...] = ("train", "validation", "uncertainty_calibration", "te
 UNITS: tuple[str, ...] = ("frame", "block", "drive", "rig")
 """What may be kept whole: a frame (near-duplicates leak), a block, a drive, a rig."""
 
-_SUM_TOLERANCE = 1e-6
+FRACTIONS = listed(number(0, 1), len(SPLITS), total=1)
 
 
 def split_frames(
@@ -57,7 +58,8 @@ def split_frames(
     >>> [len(splits[name]) for name in SPLITS]
     [24, 6, 6, 4]
     """
-    _check(by, fractions)
+    require("split.by", by, words(*UNITS))
+    require("split.fractions", list(fractions), FRACTIONS)
     units = _units(frame_ids, by, block_frames)
     n_frames = sum(map(len, units.values()))
     used = [split for split, fraction in enumerate(fractions) if fraction > 0]
@@ -92,43 +94,18 @@ def _units(
     frame_ids: Iterable[FrameId], by: str, block_frames: int | None
 ) -> dict[str, list[FrameId]]:
     """Name of the unit → its frames."""
-    seen: set[FrameId] = set()
-    for frame_id in (members := list(frame_ids)):
-        if frame_id in seen:
-            raise ValueError(f"Frame {frame_id} comes twice; the splits could then share it.")
-        seen.add(frame_id)
+    members = list(frame_ids)
+    twice = [frame_id for frame_id, n in Counter(members).items() if n > 1]
+    if twice:
+        raise ValueError(f"Frame {twice[0]} comes twice; the splits could then share it.")
     if by == "block":
         return blocks(members, block_frames)
+    # Drives of different rigs may share a name.
+    depth = {"rig": 1, "drive": 2, "frame": 3}[by]
     units: dict[str, list[FrameId]] = {}
     for frame_id in members:
-        # Drives of different rigs may share a name.
-        name = {
-            "frame": str(frame_id),
-            "drive": f"{frame_id.rig}/{frame_id.drive}",
-            "rig": frame_id.rig,
-        }[by]
-        units.setdefault(name, []).append(frame_id)
+        units.setdefault("/".join(str(frame_id).split("/")[:depth]), []).append(frame_id)
     return units
-
-
-def _check(by: str, fractions: Sequence[float]) -> None:
-    if by not in UNITS:
-        raise ConfigurationError(
-            f"split.by is '{by}', expected one of {', '.join(UNITS)}, or official for DSEC."
-        )
-    if len(fractions) != len(SPLITS):
-        raise ConfigurationError(
-            f"split.fractions has {len(fractions)} numbers {list(fractions)}, "
-            f"expected {len(SPLITS)}: {', '.join(SPLITS)}."
-        )
-    # Not "any(fraction < 0)", which lets NaN pass.
-    if not all(fraction >= 0 for fraction in fractions):
-        raise ConfigurationError(f"split.fractions is {list(fractions)}, expected none below 0.")
-    total = math.fsum(fractions)
-    if abs(total - 1) > _SUM_TOLERANCE:
-        raise ConfigurationError(
-            f"split.fractions is {list(fractions)}, which sums to {total:.6g}, expected 1."
-        )
 
 
 def _too_few(units: dict[str, list[FrameId]], by: str, n_splits: int) -> str:

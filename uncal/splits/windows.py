@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Annotated, ClassVar, TypeAlias
 
-from uncal.errors import ConfigurationError
 from uncal.recordings.frame import FrameId
+from uncal.settings.group import SettingsGroup
+from uncal.settings.rules import number
 from uncal.splits.blocks import blocks
 from uncal.splits.splits import by_name
 
@@ -16,25 +17,15 @@ Unit: TypeAlias = tuple[FrameId, ...]
 
 
 @dataclass(frozen=True)
-class WindowSettings:
+class WindowSettings(SettingsGroup):
     """How many frames one estimate is made of.
 
     Attributes:
         frames: consecutive frames of a drive whose evidence is added up; 1: each frame alone.
     """
 
-    frames: int
-
-    def __post_init__(self) -> None:
-        """Check the number.
-
-        Raises:
-            ConfigurationError: not a positive whole number.
-        """
-        if not isinstance(self.frames, int) or isinstance(self.frames, bool) or self.frames < 1:
-            raise ConfigurationError(
-                f"window.frames={self.frames}: expected a whole number of frames, at least 1"
-            )
+    key: ClassVar[str] = "window"
+    frames: Annotated[int, number(1, 1000, whole=True)]
 
 
 def units_of(

@@ -64,10 +64,7 @@ def _as_os_error(error: BaseException) -> BaseException:
 
 
 def check_writable(path: Path) -> None:
-    """Find out before the work, and not after it, whether a file can be written; makes its folder.
-
-    Args:
-        path: of the file; one that is there is left as it is.
+    """Find out before the work whether a file can be written; makes its folder, changes no file.
 
     Raises:
         OSError: it cannot be.

@@ -51,9 +51,6 @@ def keep_freed_memory() -> bool:
 def memory_trouble(error: BaseException) -> str | None:
     """What a user can do about an error for lack of memory; None for any other error.
 
-    Args:
-        error: as raised; what caused it is looked at too.
-
     >>> memory_trouble(RuntimeError("CUDA error: out of memory"))[:30]
     'CUDA error: out of memory. Low'
     >>> memory_trouble(ValueError("x"))

@@ -42,11 +42,7 @@ def digest_of(value: object) -> str:
 
 
 def digest_of_files(root: Path) -> str:
-    """Digest of a folder's files by relative path, size and time of change; contents are not read.
-
-    Returns:
-        16 hexadecimal digits.
-    """
+    """Digest of a folder's files by relative path, size and time of change, not by contents."""
     listed = []
     for path in root.rglob("*"):
         relative = path.relative_to(root)
@@ -57,11 +53,7 @@ def digest_of_files(root: Path) -> str:
 
 
 def digest_of_file(path: Path) -> str:
-    """Digest of a file's bytes.
-
-    Returns:
-        16 hexadecimal digits.
-    """
+    """Digest of a file's bytes: 16 hexadecimal digits."""
     return hashlib.sha256(path.read_bytes()).hexdigest()[:16]
 
 
@@ -70,9 +62,6 @@ def digest_of_code(parts: tuple[str, ...]) -> str:
     """Digest of folders of this package; comments, docstrings and layout do not count.
 
     Of the files as they are when a process first asks, since it goes on with the code it has.
-
-    Returns:
-        16 hexadecimal digits.
     """
     files = {path for part in parts for path in (PACKAGE / part).rglob("*.py")}
     return digest_of({path.relative_to(PACKAGE).as_posix(): meaning(path) for path in files})

@@ -48,14 +48,7 @@ def save_shipped(
     path: Path,
     beside: dict[str, Tensor] | None = None,
 ) -> None:
-    """Write weights, calibrator and settings as one file without pickles.
-
-    Args:
-        state: of the module.
-        recipe: of the module.
-        path: the file.
-        beside: further tensors that no module has, such as the monitor's references.
-    """
+    """Write a module's state, its recipe and further tensors as one file without pickles."""
     path.parent.mkdir(parents=True, exist_ok=True)
     everything = state | (beside or {})
     tensors = {

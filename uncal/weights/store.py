@@ -26,21 +26,13 @@ LOCK = ".lock"
 
 @dataclass(frozen=True)
 class Trained:
-    """How some weights came about.
+    """How some weights came about."""
 
-    Attributes:
-        seconds: wall time of the training; of its last part, where it was interrupted.
-        epochs: epochs of the training.
-        finished: when, ISO 8601.
-        run: folder of the run that trained them.
-        commit: of the code; None outside a repository.
-    """
-
-    seconds: float
-    epochs: int
-    finished: str
-    run: str
-    commit: str | None
+    seconds: float  # wall time of the training; of its last part, where it was interrupted
+    epochs: int  # epochs of the training
+    finished: str  # when, ISO 8601
+    run: str  # folder of the run that trained them
+    commit: str | None  # of the code; None outside a repository
 
 
 class WeightStore:

@@ -12,6 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from uncal.recordings.dsec import Dsec
+from uncal.simulation.cache import ensure_simulated
 from uncal.simulation.formats.drive import Piece, build_scene
 from uncal.simulation.formats.dsec_drive import sweep_times
 from uncal.simulation.scene.trajectory import pose_around, turn_rates, vehicle_pose
@@ -20,7 +21,6 @@ from uncal.simulation.sensors.event_optics import draw_optics
 from uncal.simulation.sensors.luminance import LuminanceMeter
 from uncal.simulation.sensors.rig import draw_rig
 from uncal.simulation.settings import SimulationSettings
-from uncal.simulation.writer import simulate
 
 MakeSettings = Callable[..., SimulationSettings]
 
@@ -78,7 +78,7 @@ def test_rectified_events_lie_on_what_a_straight_camera_sees_change(
         camera={"height": 80, "width": 208, "focal_px": 230.0},
         events={"noise_hz": 0.0},
     )
-    simulate(settings, tmp_path / "root", workers=1, progress=False)
+    ensure_simulated(settings, tmp_path / "root", workers=1, progress=False)
     recording = Dsec(tmp_path / "root", window_ms=50.0, min_events=100)
     with h5py.File(tmp_path / "root/sim_0000_a/events/left/events.h5") as file:
         raw = {name: file[f"events/{name}"][1:-1].astype(float) for name in "xy"}

@@ -26,7 +26,6 @@ from uncal.simulation.formats.dsec_drive import sweep_times
 from uncal.simulation.manifest import LOCK_NAME, Manifest
 from uncal.simulation.sensors.rig import draw_rig
 from uncal.simulation.settings import SimulationSettings
-from uncal.simulation.writer import simulate
 
 MakeSettings = Callable[..., SimulationSettings]
 DAY_US = 86_400_000_000
@@ -151,10 +150,10 @@ def test_bytes_depend_on_the_seed_and_not_on_the_processes(
     event_simulation: Path,
     tmp_path: Path,
 ) -> None:
-    simulate(event_settings, tmp_path / "again", workers=1, progress=False)
+    ensure_simulated(event_settings, tmp_path / "again", workers=1, progress=False)
     before = contents(event_simulation)
     assert contents(tmp_path / "again") == before
-    simulate(
+    ensure_simulated(
         make_event_settings(n_rigs=2, drives_per_rig=2, frames_per_drive=3, seed=1),
         tmp_path / "other",
         workers=2,
@@ -171,7 +170,7 @@ def test_long_sequences_are_put_together_from_pieces(
 ) -> None:
     monkeypatch.setattr(writer, "PIECE_FRAMES", 2)
     settings = make_event_settings(n_rigs=1, frames_per_drive=5)
-    simulate(settings, tmp_path / "root", workers=2, progress=False)
+    ensure_simulated(settings, tmp_path / "root", workers=2, progress=False)
     recording = Dsec(tmp_path / "root", window_ms=50.0, min_events=100)
     assert [frame_id.index for frame_id in recording.frame_ids] == [0, 1, 2, 3, 4]
     assert len(messages(tmp_path / "root/data/sim_0000/lidar_imu.bag")) == 5

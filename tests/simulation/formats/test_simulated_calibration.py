@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pykitti  # type: ignore[import-untyped]
 
-from uncal.simulation.formats.kitti_folder import prepare_date_folder
+from uncal.simulation.formats.kitti_folder import KittiLayout
 from uncal.simulation.sensors.rig import draw_rig
 from uncal.simulation.settings import SimulationSettings
 
@@ -14,7 +14,7 @@ def test_pykitti_reads_the_true_extrinsic(
     tiny_settings: SimulationSettings, tmp_path: Path
 ) -> None:
     rig = draw_rig(tiny_settings, 1)
-    prepare_date_folder(tiny_settings, 1, tmp_path / rig.date)
+    KittiLayout(tiny_settings).prepare(1, tmp_path)
     calib = pykitti.raw(str(tmp_path), rig.date, "0001").calib
     np.testing.assert_allclose(calib.T_cam2_velo, rig.T_cam_lidar, atol=1e-9)
     np.testing.assert_allclose(calib.K_cam2, rig.K, rtol=1e-11)
@@ -30,13 +30,13 @@ def test_dropping_the_rectification_would_be_noticed(tiny_settings: SimulationSe
 def test_every_key_of_the_real_files_is_there(
     tiny_settings: SimulationSettings, tmp_path: Path
 ) -> None:
-    prepare_date_folder(tiny_settings, 0, tmp_path / "date")
-    lines = (tmp_path / "date" / "calib_cam_to_cam.txt").read_text().splitlines()
+    KittiLayout(tiny_settings).prepare(0, tmp_path)
+    lines = (tmp_path / "2041_01_01" / "calib_cam_to_cam.txt").read_text().splitlines()
     keys = {line.split(":")[0] for line in lines}
     per_camera = ("S", "K", "D", "R", "T", "S_rect", "R_rect", "P_rect")
     expected = {f"{key}_{camera:02d}" for key in per_camera for camera in range(4)}
     assert keys == expected | {"calib_time", "corner_dist"}
-    velo = (tmp_path / "date" / "calib_velo_to_cam.txt").read_text()
+    velo = (tmp_path / "2041_01_01" / "calib_velo_to_cam.txt").read_text()
     assert [line.split(":")[0] for line in velo.splitlines()] == [
         "calib_time",
         "R",
@@ -44,4 +44,4 @@ def test_every_key_of_the_real_files_is_there(
         "delta_f",
         "delta_c",
     ]
-    assert (tmp_path / "date" / "calib_imu_to_velo.txt").is_file()
+    assert (tmp_path / "2041_01_01" / "calib_imu_to_velo.txt").is_file()

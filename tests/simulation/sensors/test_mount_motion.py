@@ -20,8 +20,9 @@ from uncal.recordings.dsec import Dsec
 from uncal.recordings.frame import Frame
 from uncal.recordings.kitti import KittiRaw
 from uncal.settings.configuration import CONFIG_DIR
-from uncal.simulation.formats.drive import Piece, build_scene, write_frames
-from uncal.simulation.formats.kitti_folder import prepare_date_folder
+from uncal.simulation.cache import ensure_simulated
+from uncal.simulation.formats.drive import Piece, build_scene
+from uncal.simulation.formats.kitti_folder import KittiLayout
 from uncal.simulation.rigid import Matrix, inverse, pose_matrix
 from uncal.simulation.scene.trajectory import vehicle_pose
 from uncal.simulation.scene.triangle_scene import NOTHING, Scene
@@ -29,7 +30,6 @@ from uncal.simulation.sensors.mount_motion import TRUTH_NAME, lidar_motion, read
 from uncal.simulation.sensors.rig import draw_rig
 from uncal.simulation.sensors.view import View
 from uncal.simulation.settings import SimulationSettings
-from uncal.simulation.writer import simulate
 
 MakeSettings = Callable[..., SimulationSettings]
 
@@ -61,7 +61,7 @@ def roots(make_settings: MakeSettings, tmp_path_factory: pytest.TempPathFactory)
         "yaw": moving(make_settings, yaw_deg=3.0, y_cm=20.0),
     }
     for name, settings in every.items():
-        simulate(settings, folder / name, workers=1, progress=False)
+        ensure_simulated(settings, folder / name, workers=1, progress=False)
     return {name: folder / name for name in every}
 
 
@@ -149,9 +149,9 @@ def test_the_scan_is_displaced_by_the_known_amount(
 ) -> None:
     settings = moving(make_settings, **{dof: float(size)})
     folder = tmp_path / DRIVE
-    prepare_date_folder(settings, 0, folder.parent)
-    piece = Piece(0, 0, 0, FRAMES)
-    write_frames(settings, piece, folder)
+    piece, layout = Piece(0, 0, 0, FRAMES), KittiLayout(settings)
+    layout.prepare(0, tmp_path)
+    layout.write(piece, tmp_path)
     recording, truth = KittiRaw(tmp_path), read_truth(folder)
     rig = draw_rig(settings, 0)
     street, scene = build_scene(settings, piece)
@@ -200,8 +200,8 @@ def test_ramp_and_vibration(make_settings: MakeSettings) -> None:
 def test_dsecs_layout_has_it_too(make_event_settings: MakeSettings, tmp_path: Path) -> None:
     rest = {"n_rigs": 1, "frames_per_drive": 2, "drives_per_rig": 2}
     settings = make_event_settings(**rest, motion=STILL | {"first_frame": 1, "z_cm": 30.0})
-    simulate(settings, tmp_path / "moved", workers=1, progress=False)
-    simulate(make_event_settings(**rest), tmp_path / "rest", workers=1, progress=False)
+    ensure_simulated(settings, tmp_path / "moved", workers=1, progress=False)
+    ensure_simulated(make_event_settings(**rest), tmp_path / "rest", workers=1, progress=False)
     truth = read_truth(tmp_path / "moved" / "sim_0000_b")
     nominal = draw_rig(settings, 0).T_cam_lidar
     np.testing.assert_allclose(truth[0], nominal, atol=1e-9)
@@ -233,7 +233,7 @@ def test_yaml_of_a_motion(name: str) -> None:
 def test_a_motion_that_cannot_be_is_refused(make_settings: MakeSettings, tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match=r"motion\.first_frame is 3; it must be smaller"):
         make_settings(motion=STILL | {"first_frame": 3})
-    with pytest.raises(ConfigurationError, match=r"motion\.yaw_deg is 11\.0; it must lie between"):
+    with pytest.raises(ConfigurationError, match=r"motion\.yaw_deg=11\.0: expected a number from"):
         make_settings(motion=STILL | {"yaw_deg": 11.0})
     with pytest.raises(ConfigurationError, match=r"missing setting simulation\.motion\.x_cm"):
         make_settings(motion={name: value for name, value in STILL.items() if name != "x_cm"})

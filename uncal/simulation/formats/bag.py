@@ -31,27 +31,16 @@ _START = 1_700_000_000.0
 
 
 def write_bag(
-    path: Path,
-    images: list[tuple[float, NDArray[np.uint8]]],
-    scans: list[tuple[float, NDArray[np.float32]]],
-    K: NDArray[np.float64],
-    T_cam_lidar: NDArray[np.float64] | None,
-    kind: str = "mcap",
-    lens: tuple[str, list[float]] = ("plumb_bob", [0.0] * 5),
-    compressed: bool = False,
+    path: Path,  # of the bag; a folder for ROS 2
+    images: list[tuple[float, NDArray[np.uint8]]],  # seconds and (H, W, 3) RGB
+    scans: list[tuple[float, NDArray[np.float32]]],  # seconds and (N, 4), reflectance in 0..1
+    K: NDArray[np.float64],  # (3, 3)
+    T_cam_lidar: NDArray[np.float64] | None,  # (4, 4) for /tf_static
+    kind: str = "mcap",  # or ros1, sqlite3
+    lens: tuple[str, list[float]] = ("plumb_bob", [0.0] * 5),  # model and coefficients
+    compressed: bool = False,  # JPEG
 ) -> Path:
-    """Write /front/image_raw, /front/camera_info, /top/points and /tf_static.
-
-    Args:
-        path: of the bag; a folder for ROS 2.
-        images: seconds and (H, W, 3) RGB.
-        scans: seconds and (N, 4) with reflectance in 0..1.
-        K: (3, 3).
-        T_cam_lidar: (4, 4) for /tf_static; None: there is none.
-        kind: ros1, sqlite3 or mcap.
-        lens: distortion model and coefficients.
-        compressed: JPEG.
-    """
+    """Write /front/image_raw, /front/camera_info, /top/points and /tf_static."""
     ros1 = kind == "ros1"
     store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
     if ros1:  # which rosbags leaves out
@@ -117,23 +106,15 @@ def write_bag(
         tf = types["tf2_msgs/msg/TFMessage"](steps)
         messages.append((images[0][0], "/tf_static", "tf2_msgs/msg/TFMessage", tf))
     messages.sort(key=lambda message: message[0])
-    if ros1:
-        with Writer1(path) as writer:
-            connections = {}
-            for seconds, topic, name, message in messages:
-                if topic not in connections:
-                    connections[topic] = writer.add_connection(topic, name, typestore=store)
-                raw = store.serialize_ros1(message, name)
-                writer.write(connections[topic], round(seconds * 1e9), raw)
-        return path
     plugin = StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3
-    with Writer2(path, version=9, storage_plugin=plugin) as writer2:
-        known = {}
+    writer: Any = Writer1(path) if ros1 else Writer2(path, version=9, storage_plugin=plugin)
+    serialize: Any = store.serialize_ros1 if ros1 else store.serialize_cdr
+    with writer:
+        connections: dict[str, Any] = {}
         for seconds, topic, name, message in messages:
-            if topic not in known:
-                known[topic] = writer2.add_connection(topic, name, typestore=store)
-            raw = store.serialize_cdr(message, name)
-            writer2.write(known[topic], round(seconds * 1e9), raw)
+            if topic not in connections:
+                connections[topic] = writer.add_connection(topic, name, typestore=store)
+            writer.write(connections[topic], round(seconds * 1e9), serialize(message, name))
     return path
 
 
@@ -170,11 +151,7 @@ def drive_as_bag(root: Path, drive: str, out: Path) -> Path:
 
 @exits_on_error
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Write a drive as a bag.
-
-    Args:
-        arguments: of the command line; None: the process's own.
-    """
+    """Write a drive as a bag; ``arguments`` are those of the command line."""
     parser = argparse.ArgumentParser(
         prog="python -m uncal.simulation.formats.bag",
         description="Writes a drive of a KITTI raw folder, simulated or real, as a ROS 2 bag.",

@@ -22,6 +22,8 @@ from rosbags.typesys.stores import ros1_noetic as ros
 CAMERAS = 4
 """DSEC's cameras: 0 event left, 1 frame left, 2 frame right, 3 event right."""
 
+_CLOUD = "sensor_msgs/msg/PointCloud2"
+
 _FLOAT32, _UINT16 = 7, 4
 """Types of sensor_msgs/PointField."""
 
@@ -158,12 +160,7 @@ def write_cam_to_lidar(path: Path, T_lidar_camRect1: NDArray[np.float64]) -> Non
     _write_yaml(path, {"T_lidar_camRect1": T_lidar_camRect1.tolist()})
 
 
-def write_lidar_bag(
-    path: Path,
-    scans: Iterable[LidarScan],
-    topic: str = "/velodyne_points",
-    frame_id: str = "velodyne",
-) -> None:
+def write_lidar_bag(path: Path, scans: Iterable[LidarScan]) -> None:
     """Write ``lidar_imu.bag``, without the IMU: a ROS 1 bag of sensor_msgs/PointCloud2.
 
     Raises:
@@ -177,12 +174,12 @@ def write_lidar_bag(
         for (name, _, code), offset in zip(POINT_FIELDS, offsets, strict=False)
     ]
     with Writer(path) as bag:
-        connection = bag.add_connection(topic, "sensor_msgs/msg/PointCloud2", typestore=store)
+        connection = bag.add_connection("/velodyne_points", _CLOUD, typestore=store)
         for index, scan in enumerate(scans):
             packed = _pack(scan)
             stamp = ros.builtin_interfaces__msg__Time(*divmod(scan.time_ns, 10**9))
             cloud = ros.sensor_msgs__msg__PointCloud2(
-                header=ros.std_msgs__msg__Header(index, stamp, frame_id),
+                header=ros.std_msgs__msg__Header(index, stamp, "velodyne"),
                 height=1,
                 width=len(packed),
                 fields=fields,
@@ -192,7 +189,7 @@ def write_lidar_bag(
                 data=packed.view(np.uint8),
                 is_dense=bool(np.isfinite(scan.points[:, :3]).all()),
             )
-            serialized = store.serialize_ros1(cloud, "sensor_msgs/msg/PointCloud2")
+            serialized = store.serialize_ros1(cloud, _CLOUD)
             bag.write(connection, scan.time_ns, serialized)
 
 

@@ -59,11 +59,8 @@ def sequence_name(rig: int, sequence: int) -> str:
 class DsecLayout:
     """DSEC: a folder per sequence, and one with the LiDAR of the drive they are part of.
 
-    Implements :class:`uncal.simulation.formats.layouts.Layout`. Sequences of a drive share the
-    rig; each is another street.
-
-    Attributes:
-        settings: the simulation's settings; must have ``events``.
+    See :mod:`uncal.simulation.formats.layouts`. Sequences of a drive share the rig; each is
+    another street.
     """
 
     settings: SimulationSettings
@@ -77,9 +74,9 @@ class DsecLayout:
         """Create the folder for the parts; all else can wait until processes are at work."""
         (partial / PARTS).mkdir(parents=True)
 
-    def write(self, piece: Piece, partial: Path) -> int:
+    def write(self, piece: Piece, partial: Path) -> None:
         """Simulate a piece's frames into a part."""
-        return write_part(self.settings, piece, _part(partial, piece.drive, piece.first))
+        write_part(self.settings, piece, _part(partial, piece.drive, piece.first))
 
     def finish(self, rig: int, partial: Path) -> None:
         """Write the calibration, the events of every sequence, and the LiDAR bag of all."""

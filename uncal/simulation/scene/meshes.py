@@ -38,23 +38,15 @@ class Surfaces:
 
     def __getitem__(self, index: NDArray[np.int64] | NDArray[np.bool_]) -> Surfaces:
         """The surfaces of some of the objects, repeated where the index repeats."""
-        return Surfaces(
-            self.texture[index],
-            self.tile[index],
-            self.colours[index],
-            self.reflectance[index],
-            self.fit[index],
-        )
+        return Surfaces(**{name: values[index] for name, values in vars(self).items()})
 
     def where(self, first: NDArray[np.bool_], second: Surfaces) -> Surfaces:
         """These surfaces where ``first`` is true, those of ``second`` elsewhere."""
-        return Surfaces(
-            np.where(first, self.texture, second.texture),
-            np.where(first[:, None], self.tile, second.tile),
-            np.where(first[:, None, None], self.colours, second.colours),
-            np.where(first[:, None], self.reflectance, second.reflectance),
-            np.where(first, self.fit, second.fit),
-        )
+        chosen = {}
+        for name, values in vars(self).items():
+            mask = first.reshape(-1, *[1] * (values.ndim - 1))
+            chosen[name] = np.where(mask, values, getattr(second, name))
+        return Surfaces(**chosen)
 
 
 @dataclass

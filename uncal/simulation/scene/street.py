@@ -69,27 +69,19 @@ class Street:
 
     def lateral(self, s: ArrayLike) -> NDArray[np.float64]:
         """World y of the centre line at s."""
-        amplitude, wavelength, phase = self.bend
-        turns = 2 * np.pi * np.asarray(s, np.float64) / wavelength
-        return np.asarray(amplitude * (np.sin(turns + phase) - np.sin(phase)))
+        return _wave(s, *self.bend)
 
     def heading(self, s: ArrayLike) -> NDArray[np.float64]:
         """Direction of the centre line at s, radians from world x."""
-        amplitude, wavelength, phase = self.bend
-        rate = 2 * np.pi / wavelength
-        return np.arctan(amplitude * rate * np.cos(rate * np.asarray(s, np.float64) + phase))
+        return _wave_angle(s, *self.bend)
 
     def height(self, s: ArrayLike) -> NDArray[np.float64]:
         """World z of the road at s."""
-        amplitude, wavelength, phase = self.slope
-        turns = 2 * np.pi * np.asarray(s, np.float64) / wavelength
-        return np.asarray(amplitude * (np.sin(turns + phase) - np.sin(phase)))
+        return _wave(s, *self.slope)
 
     def incline(self, s: ArrayLike) -> NDArray[np.float64]:
         """Pitch of the road at s, radians, positive downhill (right-handed about y)."""
-        amplitude, wavelength, phase = self.slope
-        rate = 2 * np.pi / wavelength
-        return -np.arctan(amplitude * rate * np.cos(rate * np.asarray(s, np.float64) + phase))
+        return -_wave_angle(s, *self.slope)
 
     def world(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
         """Street coordinates (..., 3) → world."""
@@ -101,6 +93,20 @@ class Street:
         low, high = self.crossings[:, 0], self.crossings[:, 1]
         reach = np.broadcast_to(margin, s.shape)[:, None]
         return np.asarray(((s[:, None] > low - reach) & (s[:, None] < high + reach)).any(1))
+
+
+def _wave(s: ArrayLike, amplitude: float, wavelength: float, phase: float) -> NDArray[np.float64]:
+    """A sine of s that is 0 at 0."""
+    turns = 2 * np.pi * np.asarray(s, np.float64) / wavelength
+    return np.asarray(amplitude * (np.sin(turns + phase) - np.sin(phase)))
+
+
+def _wave_angle(
+    s: ArrayLike, amplitude: float, wavelength: float, phase: float
+) -> NDArray[np.float64]:
+    """Angle of its tangent, radians."""
+    rate = 2 * np.pi / wavelength
+    return np.arctan(amplitude * rate * np.cos(rate * np.asarray(s, np.float64) + phase))
 
 
 def draw_street(scene: SceneSettings, rng: np.random.Generator, start: float, end: float) -> Street:
@@ -186,16 +192,7 @@ def _wall(
     height: float,
     surface: Surfaces,
 ) -> None:
-    """Add vertical faces from the road up to ``height``.
-
-    Args:
-        mesh: receives the faces.
-        street: the street.
-        ends: (n, 2) s of the faces' left and right ends as seen from outside.
-        y: lateral positions of the left and the right end.
-        height: metres.
-        surface: of all faces.
-    """
+    """Add vertical faces up to ``height``; (n, 2) ``ends``: s left and right, seen from outside."""
     s = ends[:, [0, 1, 1, 0]]
     across = np.broadcast_to(np.array(y)[[0, 1, 1, 0]], s.shape)
     up = np.broadcast_to(np.array([0.0, 0.0, height, height]), s.shape)

@@ -111,11 +111,11 @@ def build_library(rng: np.random.Generator) -> TextureLibrary:
         full = (full[:, :, ::2] + full[:, :, 1::2]) / 2
 
 
-def noise(rng: np.random.Generator, wavelength: float, anisotropy: float = 1.0) -> Image:
+def noise(rng: np.random.Generator, wavelength: float) -> Image:
     """(SIZE, SIZE) tileable noise of unit variance with features of about ``wavelength`` texels."""
     fy, fx = np.fft.fftfreq(SIZE)[:, None], np.fft.rfftfreq(SIZE)[None, :]
     spectrum = np.fft.rfft2(rng.standard_normal((SIZE, SIZE)))
-    spectrum *= np.exp(-2 * wavelength**2 * (fx**2 + (fy * anisotropy) ** 2))
+    spectrum *= np.exp(-2 * wavelength**2 * (fx**2 + fy**2))
     spectrum[0, 0] = 0
     field = np.fft.irfft2(spectrum)
     return (field / max(float(field.std()), 1e-9)).astype(np.float32)

@@ -21,11 +21,6 @@ def drive_speed(settings: SimulationSettings, rig: int, drive: int) -> float:
 
     Frames stay as far apart as ``speed_mps`` has them, so that what a drive sees does not depend on
     it: the time between them changes instead.
-
-    Args:
-        settings: the simulation's settings.
-        rig: number of the rig.
-        drive: number of the drive within the rig.
     """
     draw = generator(settings.seed, Stream.SPEED, rig, drive).uniform(-1, 1)
     return settings.vehicle.speed_mps * (1.0 + settings.vehicle.speed_variation * float(draw))
@@ -61,14 +56,7 @@ def pose_around(
     rates: NDArray[np.float64],
     seconds: float,
 ) -> Matrix:
-    """T_world_vehicle (4, 4) shortly before or after a moment, at constant speed and turn rates.
-
-    Args:
-        settings: for the vehicle's speed.
-        T_world_vehicle: (4, 4) pose at that moment.
-        rates: (3,) roll, pitch and yaw rate, radians per second.
-        seconds: time since that moment; negative is before.
-    """
+    """T_world_vehicle (4, 4) ``seconds`` after a moment; (3,) turn ``rates`` in radians/s."""
     ahead = np.array([settings.vehicle.speed_mps * seconds, 0.0, 0.0])
     return T_world_vehicle @ pose_matrix(ahead, rates * seconds)
 

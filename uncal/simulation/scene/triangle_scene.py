@@ -41,14 +41,7 @@ class Scene:
     def __init__(
         self, mesh: Mesh, sky: Sky, textures: TextureLibrary, reach: tuple[float, float]
     ) -> None:
-        """Build the Embree scene.
-
-        Args:
-            mesh: all triangles, wound counter-clockwise as seen from outside.
-            sky: the light, for what depends on the surfaces' orientation alone.
-            textures: the library that the mesh's texture numbers refer to.
-            reach: smallest and largest world x of the triangles to keep, metres.
-        """
+        """Build the scene of a mesh, of triangles with a world x within ``reach``, metres."""
         every = np.concatenate(mesh.triangles)
         x = every[:, :, 0]
         keep = (x.max(1) > reach[0]) & (x.min(1) < reach[1])
@@ -83,21 +76,11 @@ class Scene:
         return len(self.corners)
 
     def cast(self, origins: Array, directions: Array) -> Numbers:
-        """Number of the first triangle that each ray meets, or :data:`NOTHING`, (N,).
-
-        Args:
-            origins: (N, 3) float32 world coordinates, metres.
-            directions: (N, 3) float32, of any length.
-        """
+        """(N,) first triangle, or :data:`NOTHING`, of rays from (N, 3) along (N, 3) float32."""
         return np.asarray(self._embree.run(origins, directions, query="INTERSECT"), np.int32)
 
     def in_sun(self, points: Array, triangle: Numbers) -> Array:
-        """1 where nothing stands between a point on a triangle and the sun, else 0, (N,).
-
-        Args:
-            points: (N, 3) float32 world coordinates.
-            triangle: (N,) the triangles that the points lie on.
-        """
+        """(N,) 1 where nothing stands between (N, 3) points on triangles and the sun, else 0."""
         lit = np.zeros(len(points), np.float32)
         facing = np.flatnonzero(self.look[:, 7].take(triangle) > 0)
         lifted = points.take(facing, axis=0)
@@ -109,16 +92,9 @@ class Scene:
 
 
 def _slopes(edges: Points, change: Points) -> Points:
-    """Gradients, in the triangle's plane, of quantities known at its corners.
+    """(T, Q, 3) gradients in the triangle's plane of Q quantities known at its corners.
 
     g = a·e1 + b·e2 with g·e1 and g·e2 equal to the quantity's change along the two edges.
-
-    Args:
-        edges: (T, 2, 3) edges from the first corner.
-        change: (T, 2, Q) change of each quantity along them.
-
-    Returns:
-        (T, Q, 3) gradients.
     """
     gram = edges @ edges.transpose(0, 2, 1)
     a, b, c = gram[:, 0, 0, None], gram[:, 0, 1, None], gram[:, 1, 1, None]

@@ -10,8 +10,8 @@ from uncal.simulation.rigid import Matrix
 from uncal.simulation.scene.meshes import Array
 from uncal.simulation.scene.palette import LUMINANCE
 from uncal.simulation.scene.triangle_scene import NOTHING, Numbers, Scene
-from uncal.simulation.sensors.view import Meeting, View
-from uncal.simulation.sensors.visibility import visible
+from uncal.simulation.sensors.view import View
+from uncal.simulation.sensors.visibility import samples
 from uncal.simulation.settings import CameraSettings
 
 MEAN_LUMINANCE = 0.3
@@ -30,12 +30,7 @@ class Camera:
     """
 
     def __init__(self, settings: CameraSettings, K: NDArray[np.float64]) -> None:
-        """Prepare the rays.
-
-        Args:
-            settings: size, supersampling and sensor.
-            K: (3, 3) camera matrix, pixels.
-        """
+        """Prepare the rays."""
         self.settings = settings
         n = settings.supersampling
         step = (np.arange(n) + 0.5) / n - 0.5
@@ -54,31 +49,39 @@ class Camera:
     def photograph(
         self, scene: Scene, T_world_cam: Matrix, rng: np.random.Generator
     ) -> NDArray[np.uint8]:
-        """Take a picture.
-
-        Args:
-            scene: the street.
-            T_world_cam: (4, 4) pose of the camera.
-            rng: draws the sensor noise.
-
-        Returns:
-            (H, W, 3) uint8 RGB.
-        """
+        """An (H, W, 3) uint8 RGB picture from a (4, 4) pose; ``rng`` draws light and noise."""
         return self._develop(self._expose(scene, T_world_cam), rng)
 
     def _expose(self, scene: Scene, T_world_cam: Matrix) -> Array:
-        """Mean radiance of each pixel, (3, H·W) linear RGB."""
-        n = self.settings.supersampling
-        directions = self._rays @ T_world_cam[:3, :3].T.astype(np.float32)
-        triangle = visible(scene, T_world_cam[:3, 3].astype(np.float32), directions)
-        exposure = _Exposure(scene, T_world_cam[:3, 3], self._sample_width, self.settings)
-        for row in range(n):
-            for column in range(n):
-                each = (slice(row, None, n), slice(column, None, n))
-                rays = directions[each].transpose(2, 0, 1).reshape(3, -1)
-                exposure.add(triangle[each].ravel(), rays)
-        exposure.light /= n * n
-        return exposure.light
+        """Mean radiance of each pixel, (3, H·W) linear RGB.
+
+        Whether the sun shines on a point is asked again only where a pixel's sample lies on another
+        triangle than the one before: neighbours on one triangle nearly always share the answer.
+        """
+        limits, position = self.settings, T_world_cam[:3, 3]
+        n_pixels = limits.height * limits.width
+        light: Array = np.zeros((3, n_pixels), np.float32)
+        in_sun: Array = np.ones(n_pixels, np.float32)
+        last: Numbers = np.full(n_pixels, NOTHING, np.int32)
+        view = View(scene, position)
+        for triangle, rays in samples(scene, T_world_cam, self._rays, limits.supersampling):
+            meeting = view.meet(triangle, rays)
+            if limits.shadows and scene.sky.sun.any():
+                new = np.flatnonzero((triangle != NOTHING) & (triangle != last))
+                points = (rays.take(new, axis=1) * meeting.t.take(new)).T
+                points += position.astype(np.float32)
+                in_sun[new] = scene.in_sun(points, triangle.take(new))
+                last = triangle
+            seen = view.radiance(meeting, meeting.footprint(self._sample_width), in_sun)
+            clear = np.exp(meeting.t * np.float32(-1 / limits.haze_m))
+            empty = np.flatnonzero(triangle == NOTHING)
+            sky = scene.sky.radiance(scene.textures, rays.take(empty, axis=1))
+            for channel, haze in enumerate(scene.sky.horizon):
+                # Without a surface t is 0 and all is clear, so nothing is added but the sky.
+                light[channel] += haze + (seen[channel] - haze) * clear
+                light[channel, empty] += sky[channel]
+        light /= limits.supersampling**2
+        return light
 
     def _develop(self, light: Array, rng: np.random.Generator) -> NDArray[np.uint8]:
         """Exposure, vignetting, noise, gamma, 8 bits; (3, H·W) linear → (H, W, 3)."""
@@ -106,60 +109,3 @@ class Camera:
         image = np.ascontiguousarray(light.T).reshape(self.settings.height, self.settings.width, 3)
         blurred = cv2.GaussianBlur(image, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE)
         return np.ascontiguousarray(blurred.reshape(-1, 3).T)
-
-
-class _Exposure:
-    """Light gathered by the pixels, one sample per pixel at a time.
-
-    Whether the sun shines on a point is asked again only where a pixel's sample lies on another
-    triangle than the one before: neighbours on one triangle nearly always share the answer.
-    """
-
-    def __init__(
-        self,
-        scene: Scene,
-        position: NDArray[np.float64],
-        sample_width: np.float32,
-        settings: CameraSettings,
-    ) -> None:
-        """Open the shutter at a (3,) world position."""
-        n_pixels = settings.height * settings.width
-        self.light: Array = np.zeros((3, n_pixels), np.float32)
-        self._view = View(scene, position)
-        self._position = position.astype(np.float32)
-        self._sample_width = sample_width
-        self._settings = settings
-        self._shadows = settings.shadows and bool(scene.sky.sun.any())
-        self._triangle: Numbers = np.full(n_pixels, NOTHING, np.int32)
-        self._in_sun: Array = np.ones(n_pixels, np.float32)
-
-    def add(self, triangle: Numbers, directions: Array) -> None:
-        """Add the light of one sample per pixel.
-
-        Args:
-            triangle: (N,) what the samples lie on.
-            directions: (3, N) towards them, world coordinates.
-        """
-        scene = self._view.scene
-        meeting = self._view.meet(triangle, directions)
-        self._update_sun(meeting, directions)
-        footprint = meeting.t * self._sample_width
-        footprint /= np.sqrt(np.maximum(meeting.slant, np.float32(0.02)))
-        seen = self._view.radiance(meeting, footprint, self._in_sun)
-        clear = np.exp(meeting.t * np.float32(-1 / self._settings.haze_m))
-        empty = np.flatnonzero(triangle == NOTHING)
-        sky = scene.sky.radiance(scene.textures, directions.take(empty, axis=1))
-        for channel, haze in enumerate(scene.sky.horizon):
-            # Without a surface t is 0 and all is clear, so nothing is added but the sky.
-            self.light[channel] += haze + (seen[channel] - haze) * clear
-            self.light[channel, empty] += sky[channel]
-
-    def _update_sun(self, meeting: Meeting, directions: Array) -> None:
-        """Find out whether the sun shines where samples lie on another triangle than before."""
-        if self._shadows:
-            new = np.flatnonzero(
-                (meeting.triangle != NOTHING) & (meeting.triangle != self._triangle)
-            )
-            points = (directions.take(new, axis=1) * meeting.t.take(new)).T + self._position
-            self._in_sun[new] = self._view.scene.in_sun(points, meeting.triangle.take(new))
-            self._triangle = meeting.triangle

@@ -109,15 +109,7 @@ def crossings(
 def shot_noise(
     rate_hz: float, size: tuple[int, int], begin: int, end: int, rng: np.random.Generator
 ) -> SensorEvents:
-    """Events that nothing has caused: a Poisson process of one rate in every pixel.
-
-    Args:
-        rate_hz: events per second and pixel.
-        size: (H, W), pixels.
-        begin: first microsecond.
-        end: one past the last microsecond.
-        rng: draws them.
-    """
+    """Events of no cause: a Poisson process in every pixel, from ``begin`` to ``end`` (µs)."""
     height, width = size
     n = int(rng.poisson(rate_hz * height * width * (end - begin) * 1e-6))
     x = rng.integers(width, size=n, dtype=np.uint16)
@@ -136,13 +128,7 @@ class EventCamera:
     def __init__(
         self, settings: EventSettings, size: tuple[int, int], rng: np.random.Generator
     ) -> None:
-        """Draw the pixels.
-
-        Args:
-            settings: thresholds, their mismatch, refractory period, noise.
-            size: (H, W), pixels.
-            rng: draws the thresholds.
-        """
+        """Draw the pixels of a sensor of (H, W)."""
         self.settings = settings
         self.size = size
         spread = np.exp(settings.threshold_mismatch * rng.standard_normal((2, *size)))

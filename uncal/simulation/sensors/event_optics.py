@@ -50,14 +50,7 @@ class EventOptics:
     T_lidar_camRect1: Matrix
 
     def rectify(self, u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Rectified x and y of positions on the sensor.
-
-        Args:
-            u: (...) column, pixels; integers are pixel centres.
-            v: (...) row, pixels.
-
-        Returns:
-            (..., 2) pixels of the rectified image.
+        """(..., 2) rectified pixels of (...) columns and rows of the sensor; integers are centres.
 
         Raises:
             ConfigurationError: the lens bends rays so much that positions have none of their own.
@@ -74,15 +67,7 @@ class EventOptics:
         return self.rectify(u, v).astype(np.float32)
 
     def rays(self, size: tuple[int, int], supersampling: int) -> NDArray[np.float32]:
-        """Directions seen by the sensor's pixels, in the rectified camera's frame, z = 1.
-
-        Args:
-            size: (H, W), pixels.
-            supersampling: n; n × n rays spread evenly over each pixel.
-
-        Returns:
-            (H·n, W·n, 3) float32.
-        """
+        """(H·n, W·n, 3) float32 directions of n × n samples a pixel, rectified frame, z = 1."""
         rows, columns = (
             (np.arange(length * supersampling) + 0.5) / supersampling - 0.5 for length in size
         )

@@ -10,7 +10,7 @@ from uncal.simulation.scene.meshes import Array
 from uncal.simulation.scene.palette import LUMINANCE
 from uncal.simulation.scene.triangle_scene import NOTHING, Scene
 from uncal.simulation.sensors.view import View
-from uncal.simulation.sensors.visibility import visible
+from uncal.simulation.sensors.visibility import samples
 from uncal.simulation.settings import CameraSettings
 
 
@@ -43,23 +43,13 @@ class LuminanceMeter:
         self._shadows = settings.shadows and bool(sky.sun.any())
 
     def measure(self, T_world_cam: Matrix) -> NDArray[np.float32]:
-        """Mean luminance of each pixel, (H, W) float32 linear.
-
-        Args:
-            T_world_cam: (4, 4) pose of the camera.
-        """
-        n = self._settings.supersampling
-        position = T_world_cam[:3, 3]
-        directions = self._rays @ T_world_cam[:3, :3].T.astype(np.float32)
-        triangle = visible(self._scene, position.astype(np.float32), directions)
+        """Mean luminance of each pixel at a (4, 4) camera pose, (H, W) float32 linear."""
+        n, position = self._settings.supersampling, T_world_cam[:3, 3]
         view = View(self._scene, position)
-        height, width = directions.shape[0] // n, directions.shape[1] // n
+        height, width = self._rays.shape[0] // n, self._rays.shape[1] // n
         light: Array = np.zeros(height * width, np.float32)
-        for row in range(n):
-            for column in range(n):
-                each = (slice(row, None, n), slice(column, None, n))
-                rays = directions[each].transpose(2, 0, 1).reshape(3, -1)
-                light += self._sample(view, position, triangle[each].ravel(), rays)
+        for triangle, rays in samples(self._scene, T_world_cam, self._rays, n):
+            light += self._sample(view, position, triangle, rays)
         light /= n * n
         return light.reshape(height, width)
 
@@ -69,9 +59,7 @@ class LuminanceMeter:
         """Luminance along (3, N) rays that meet known triangles, (N,)."""
         scene = self._scene
         meeting = view.meet(triangle, rays)
-        footprint = meeting.t * self._sample_width
-        footprint /= np.sqrt(np.maximum(meeting.slant, np.float32(0.02)))
-        blend, grain = view.texture_at(meeting, footprint)
+        blend, grain = view.texture_at(meeting, meeting.footprint(self._sample_width))
         row = self._light.take(triangle, axis=0, mode="wrap")
         sun = row[:, 2] + row[:, 3] * blend
         if self._shadows:

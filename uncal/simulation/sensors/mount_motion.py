@@ -29,12 +29,6 @@ def lidar_motion(settings: SimulationSettings, rig: int, drive: int, frame: int)
 
     Step and ramp grow linearly over ``ramp_frames``; on top, every DoF j vibrates as
     a sin(2π f t + φ_j), with φ_j drawn per drive. Within a sweep the LiDAR stands still.
-
-    Args:
-        settings: the simulation's settings.
-        rig: number of the rig.
-        drive: number of the drive within the rig.
-        frame: number of the frame within the drive.
     """
     motion = settings.motion
     if motion is None or frame < motion.first_frame:
@@ -51,16 +45,10 @@ def lidar_motion(settings: SimulationSettings, rig: int, drive: int, frame: int)
 
 
 def write_truth(settings: SimulationSettings, rig: int, drive: int, folder: Path) -> None:
-    """Write the true extrinsic of every frame of a drive into its folder; nothing without motion.
+    """Write every frame's true extrinsic into a drive's folder; nothing without motion.
 
     One line a frame, the 12 numbers of the upper three rows of T_cam_lidar, row by row, as in
     KITTI's files of poses.
-
-    Args:
-        settings: the simulation's settings.
-        rig: number of the rig.
-        drive: number of the drive within the rig.
-        folder: of the drive; must exist.
     """
     if settings.motion is None:
         return
@@ -73,10 +61,7 @@ def write_truth(settings: SimulationSettings, rig: int, drive: int, folder: Path
 
 
 def read_truth(folder: Path) -> NDArray[np.float64]:
-    """What :func:`write_truth` has written.
-
-    Returns:
-        (frames, 4, 4) T_cam_lidar.
+    """(frames, 4, 4) T_cam_lidar that :func:`write_truth` has written.
 
     Raises:
         RecordingError: there is no such file, or it is damaged.

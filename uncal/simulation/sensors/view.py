@@ -36,17 +36,18 @@ class Meeting:
     v: Array
     texel_density: Array
 
+    def footprint(self, sample_width: np.float32) -> Array:
+        """(N,) width of what one ray stands for, metres, of samples so wide at distance 1."""
+        width = self.t * sample_width
+        width /= np.sqrt(np.maximum(self.slant, np.float32(0.02)))
+        return np.asarray(width, np.float32)
+
 
 class View:
     """A scene seen from one point."""
 
     def __init__(self, scene: Scene, position: NDArray[np.float64]) -> None:
-        """Work out what the rays from here share.
-
-        Args:
-            scene: the street.
-            position: (3,) world coordinates.
-        """
+        """Work out what the rays from a (3,) position in the world share."""
         self.scene = scene
         away = position - scene.corners
         depth, u, v = (
@@ -86,12 +87,7 @@ class View:
         return Meeting(triangle, t, np.abs(towards), u, v, row[:, 12])
 
     def texture_at(self, meeting: Meeting, footprint: Array) -> tuple[Array, Array]:
-        """Blend and grain of the textures.
-
-        Args:
-            meeting: the places.
-            footprint: (N,) width of what one ray stands for, metres.
-        """
+        """Blend and grain of the textures; (N,) ``footprint`` is the width of a ray, metres."""
         texture = self.scene.texture.take(meeting.triangle, mode="wrap")
         texels = footprint * meeting.texel_density
         return self.scene.textures.sample(texture, meeting.u, meeting.v, texels)

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from uncal.simulation.rigid import Matrix
 from uncal.simulation.scene.meshes import Array
 from uncal.simulation.scene.triangle_scene import Numbers, Scene
 
@@ -20,14 +21,30 @@ OUTSIDE = -2
 Block = tuple[slice, slice]
 
 
-def visible(scene: Scene, position: Array, directions: Array) -> Numbers:
-    """First triangle that each ray of a regular grid meets, or NOTHING, (H, W).
+def samples(
+    scene: Scene, T_world_cam: Matrix, rays: Array, n: int
+) -> Iterator[tuple[Numbers, Array]]:
+    """One of n × n samples of every pixel after the other.
 
     Args:
         scene: the street.
-        position: (3,) float32 common origin, world coordinates.
-        directions: (H, W, 3) float32, linear in row and column.
+        T_world_cam: (4, 4) pose of the camera.
+        rays: (H·n, W·n, 3) float32 in the camera frame.
+        n: supersampling.
+
+    Yields:
+        (H·W,) triangles that the samples lie on, and (3, H·W) directions to them in the world.
     """
+    directions = rays @ T_world_cam[:3, :3].T.astype(np.float32)
+    triangle = visible(scene, T_world_cam[:3, 3].astype(np.float32), directions)
+    for row in range(n):
+        for column in range(n):
+            each = (slice(row, None, n), slice(column, None, n))
+            yield triangle[each].ravel(), directions[each].transpose(2, 0, 1).reshape(3, -1)
+
+
+def visible(scene: Scene, position: Array, directions: Array) -> Numbers:
+    """(H, W) first triangle, or NOTHING, on rays that are linear in row and column."""
     height, width = directions.shape[:2]
     triangle = np.full((height + 2, width + 2), OUTSIDE, np.int32)
     cells = np.zeros(triangle.shape, np.int64)
