@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from uncal.geometry import DOF_NAMES
 from uncal.reporting.evaluation import BAND_CONFIDENCE
 from uncal.reporting.figures import style
 from uncal.reporting.figures.style import NamedFigure
@@ -31,8 +32,8 @@ def calibration_curves(curve: pd.DataFrame, label: str, caveat: str | None = Non
             2, 2, height=4.9, label=label, sharex=True, sharey="row", heights=(2.0, 1.0)
         )
         for k, panel in enumerate(panels):
-            difference, names = divmod(k, 2)
-            by_dof = curve[curve["dof"].isin((style.TRANSLATIONS, style.ROTATIONS)[names])]
+            difference, side = divmod(k, 2)
+            by_dof = curve[curve["dof"].isin(DOF_NAMES[3 * side : 3 * side + 3])]
             # Of one DoF only: the band depends on the sample sizes, which all DoF share.
             first = by_dof[by_dof["dof"] == by_dof["dof"].iloc[0]]
             ends = first[["coverage_low", "coverage_high"]].sub(difference * first["level"], axis=0)
