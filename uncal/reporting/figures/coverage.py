@@ -80,7 +80,7 @@ def joint_coverage(joint: pd.DataFrame, label: str, caveat: str | None = None) -
     band = "reference band of the joint box" + ("" if caveat == "" else ", not binding")
     with style.paper_style():
         figure, (panel,) = style.new_figure(
-            1, 1, width=style.SINGLE_COLUMN, height=2.9, label=label
+            1, 1, width=style.SINGLE_COLUMN, height=3.2, label=label
         )
         low, high = joint["joint_low"], joint["joint_high"]
         panel.fill_between(levels, low, high, color=style.BAND_GREY, label=band)
@@ -93,7 +93,7 @@ def joint_coverage(joint: pd.DataFrame, label: str, caveat: str | None = None) -
         panel.set_xlabel("Nominal coverage (%)")
         panel.set_ylabel("Empirical coverage of the whole pose (%)")
         # Above, since no corner is free of curves whatever the levels are.
-        figure.legend(loc="outside upper center", ncols=2)
+        figure.legend(loc="outside upper center", ncols=1)
     row = joint.iloc[(levels - 90.0).abs().argmin()]
     law = "Shaded: the 99.9 % reference band of the Beta-Binomial law"
     if caveat is None:
