@@ -118,7 +118,9 @@ def _results(path: Path) -> pd.DataFrame:
     table = read_csv(path / RESULTS.file, RESULTS)
     for schema, key in ((JOINT, "level"), (CONTROL, "dof")):
         if (path / schema.file).is_file():
-            other = pd.read_csv(path / schema.file, float_precision="round_trip")
+            words = ("dof", "unit", "groups", "joint_in_band")
+            exact = {name: float for name in schema.columns if name not in words}
+            other = pd.read_csv(path / schema.file, converters=exact)
             new = [name for name in other.columns if name == key or name not in table.columns]
             table = table.merge(other[new], on=key, how="left")
     return table
@@ -126,7 +128,6 @@ def _results(path: Path) -> pd.DataFrame:
 
 def _overrides(path: Path) -> dict[str, str]:
     try:
-        listed = yaml.safe_load(path.read_text(encoding="utf-8"))
+        return as_mapping(yaml.safe_load(path.read_text(encoding="utf-8")) or [])
     except (OSError, yaml.YAMLError):  # Hydra is writing it just now
-        listed = None
-    return as_mapping(listed or [])
+        return {}

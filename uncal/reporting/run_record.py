@@ -34,7 +34,7 @@ class RunRecord:
         self.request = request
         self._began = time.monotonic()
         own = {"commit": commit_of_code(), "version": __version__, "request": request}
-        self._content = {**about, **own}
+        self._content = {**own, **about}
 
     def begin(self) -> None:
         """Take away what an earlier run of other settings left in the folder.

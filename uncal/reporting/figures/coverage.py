@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from uncal.geometry import DOF_NAMES
 from uncal.reporting.evaluation import BAND_CONFIDENCE
 from uncal.reporting.figures import style
 from uncal.reporting.figures.style import NamedFigure
@@ -31,8 +32,8 @@ def calibration_curves(curve: pd.DataFrame, label: str, caveat: str | None = Non
             2, 2, height=4.9, label=label, sharex=True, sharey="row", heights=(2.0, 1.0)
         )
         for k, panel in enumerate(panels):
-            difference, names = divmod(k, 2)
-            by_dof = curve[curve["dof"].isin((style.TRANSLATIONS, style.ROTATIONS)[names])]
+            difference, side = divmod(k, 2)
+            by_dof = curve[curve["dof"].isin(DOF_NAMES[3 * side : 3 * side + 3])]
             # Of one DoF only: the band depends on the sample sizes, which all DoF share.
             first = by_dof[by_dof["dof"] == by_dof["dof"].iloc[0]]
             ends = first[["coverage_low", "coverage_high"]].sub(difference * first["level"], axis=0)
@@ -79,7 +80,7 @@ def joint_coverage(joint: pd.DataFrame, label: str, caveat: str | None = None) -
     band = "reference band of the joint box" + ("" if caveat == "" else ", not binding")
     with style.paper_style():
         figure, (panel,) = style.new_figure(
-            1, 1, width=style.SINGLE_COLUMN, height=2.9, label=label
+            1, 1, width=style.SINGLE_COLUMN, height=3.2, label=label
         )
         low, high = joint["joint_low"], joint["joint_high"]
         panel.fill_between(levels, low, high, color=style.BAND_GREY, label=band)
@@ -92,7 +93,7 @@ def joint_coverage(joint: pd.DataFrame, label: str, caveat: str | None = None) -
         panel.set_xlabel("Nominal coverage (%)")
         panel.set_ylabel("Empirical coverage of the whole pose (%)")
         # Above, since no corner is free of curves whatever the levels are.
-        figure.legend(loc="outside upper center", ncols=2)
+        figure.legend(loc="outside upper center", ncols=1)
     row = joint.iloc[(levels - 90.0).abs().argmin()]
     law = "Shaded: the 99.9 % reference band of the Beta-Binomial law"
     if caveat is None:

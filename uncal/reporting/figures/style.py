@@ -42,8 +42,6 @@ DOF_LINES: Mapping[str, str] = dict(zip(DOF_NAMES, ("-", "--", "-.") * 2, strict
 DOF_MARKERS: Mapping[str, str] = dict(zip(DOF_NAMES, "os^Dvp", strict=True))
 """So that colour is never the only cue."""
 
-TRANSLATIONS, ROTATIONS = DOF_NAMES[:3], DOF_NAMES[3:]
-
 
 def dof_style(dof: str) -> dict[str, Any]:
     """Colour, line, marker and label that a DoF has in every figure."""
