@@ -132,7 +132,7 @@ def _figures(sweep: Sweep) -> Iterator[NamedFigure]:
         ]
         yield figure("interval_width", "Interval width", caption, widths)
     if by_dof and "together" in sweep.frame.columns:
-        axis = "All six DoF held (%)"
+        axis = "Held (%)"
         pose = [
             Panel(f"{v:g} %", axis, {n: (c, v, DOF_NAMES) for c, n in _POSE.items()}, reference=v)
             for v in sweep.levels
