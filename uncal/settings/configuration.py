@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import logging
 import os
+import sys
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -87,7 +88,8 @@ def _reports_in_a_sentence(
                     trouble = refusal(error, group_names(Path(CONFIG_DIR)))
                 if trouble is None or os.environ.get(FULL_ERROR) == "1":
                     raise
-                raise SystemExit(trouble) from error
+                sys.stderr.write(f"{trouble}\n")
+                raise SystemExit(1) from error
 
         return report(explained)
 

@@ -49,18 +49,21 @@ def _unread(
     siblings = _union(known.values()) if named else {}
     for key, value in node.items():
         here = f"{path}.{key}" if path else key
-        of_target = takes is not None and (takes == ALL or key in takes or key in _SPECIAL)
+        taken = takes is not None and (key in takes or key in _SPECIAL)
+        slip = same and key not in known and bool(difflib.get_close_matches(key, known, 1, 0.75))
+        # A class that takes any keyword takes a shipped one with a slip, too.
+        of_target = taken or (takes == ALL and not slip)
         if key in known and (same or of_target):
             below = known[key]
             if isinstance(value, Mapping):
                 yield from _below(value, below, here, referred)
-        elif of_target or _is_referred(here, referred, of_group=takes is None or takes == ALL):
+        elif of_target or _is_referred(here, referred, of_group=takes is None):
             if isinstance(value, Mapping):
                 yield from _below(value, None, here, referred)
         elif named and isinstance(value, Mapping):
             yield from _unread(value, {} if "_target_" in value else siblings, here, referred)
         else:
-            yield here, str(target) if takes is not None else None
+            yield here, None if takes in (None, ALL) else str(target)
 
 
 def _below(
