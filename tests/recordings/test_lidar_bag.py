@@ -1,9 +1,11 @@
 from __future__ import annotations
 
+import gc
 import logging
 import multiprocessing
 import os
 import pickle
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 
@@ -156,6 +158,16 @@ def test_one_process_opens_the_bag_once_and_pickles_leave_it_closed(
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
+def test_a_bag_that_nobody_holds_is_closed(bag_path: Path) -> None:
+    bag = LidarBag(bag_path)
+    bag.read(0)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", ResourceWarning)
+        del bag
+        gc.collect()
+    assert [str(each.message) for each in caught] == []
+
+
 def test_forked_workers_read_at_the_same_time(bag_path: Path) -> None:
     bag = LidarBag(bag_path)
     bag.read(0)  # the parent's file is open when the workers start

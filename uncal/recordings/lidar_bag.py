@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import struct
+import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
@@ -160,6 +161,7 @@ class LidarBag:
         if self._opened is None or self._opened[0] != os.getpid():
             reader = Reader(self.path)
             reader.open()
+            weakref.finalize(self, reader.close)
             self._opened = (os.getpid(), reader)
         return self._opened[1]
 
