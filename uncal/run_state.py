@@ -6,8 +6,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from uncal.inference.control import ControlPrediction
-    from uncal.models.split_prediction import SplitPrediction
+    from uncal.models.split_prediction import ControlPrediction, SplitPrediction
     from uncal.reporting.measure import Results
 
 

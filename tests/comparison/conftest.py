@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from uncal.geometry import DOF_NAMES
-from uncal.inference.control import ControlPrediction
+from uncal.models.split_prediction import ControlPrediction
 from uncal.recordings.frame import FrameId
 from uncal.reporting.evaluation import Evaluation
 from uncal.reporting.measure import measure

@@ -12,8 +12,8 @@ from scipy import stats  # type: ignore[import-untyped]
 from torch import Tensor
 
 from uncal.geometry import DOF_NAMES
-from uncal.inference.control import ControlPrediction
 from uncal.metrics.bootstrap import bootstrap_ratio
+from uncal.models.split_prediction import ControlPrediction
 from uncal.recordings.frame import FrameId
 from uncal.reporting.control import blind_dofs, control_table, resampling_groups
 from uncal.reporting.evaluation import Evaluation

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import torch
 from lightning import Trainer
@@ -13,45 +12,13 @@ from torch import Tensor
 from uncal.data.datamodule import CalibrationDataModule
 from uncal.data.dataset import Batch, FrameDataset, Sample
 from uncal.models.module import CalibrationModule
-from uncal.models.split_prediction import frame_seed
+from uncal.models.split_prediction import ControlPrediction, frame_seed
 from uncal.recordings.frame import FrameId
 from uncal.system.progress import watched
 from uncal.uncertainty.dropout.layers import only_active
 from uncal.uncertainty.gather import gather_by_id
 
 log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True)
-class ControlPrediction:
-    """Estimates with the camera's data of the frame itself, and of another frame.
-
-    Attributes:
-        index: (n,) int64 numbers of the frames in their split, ascending.
-        frames: the n frames.
-        single: (n, 6) one pass without dropout, metres and radians.
-        blind: (n, 6) the same with the same points and decalibration, but another frame's image.
-        target: (n, 6) the true decalibrations.
-    """
-
-    index: Tensor
-    frames: tuple[FrameId, ...]
-    single: Tensor
-    blind: Tensor
-    target: Tensor
-
-    def among(self, index: Tensor) -> ControlPrediction | None:
-        """The part of it that belongs to some frames, or None if these are fewer than two.
-
-        Args:
-            index: (m,) int64 numbers of frames in the split.
-        """
-        kept = torch.isin(self.index, index)
-        if int(kept.sum()) < 2:
-            return None
-        frames = tuple(f for f, keep in zip(self.frames, kept.tolist(), strict=True) if keep)
-        columns = (self.single, self.blind, self.target)
-        return ControlPrediction(self.index[kept], frames, *(each[kept] for each in columns))
 
 
 def control_order(frames: Sequence[FrameId], seed: int) -> list[int]:

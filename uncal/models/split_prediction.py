@@ -73,6 +73,38 @@ class SplitPrediction:
         return [f.rig if by == "rig" else f"{f.rig}/{f.drive}" for f in chosen]
 
 
+@dataclass(frozen=True)
+class ControlPrediction:
+    """Estimates with the camera's data of the frame itself, and of another frame.
+
+    Attributes:
+        index: (n,) int64 numbers of the frames in their split, ascending.
+        frames: the n frames.
+        single: (n, 6) one pass without dropout, metres and radians.
+        blind: (n, 6) the same with the same points and decalibration, but another frame's image.
+        target: (n, 6) the true decalibrations.
+    """
+
+    index: Tensor
+    frames: tuple[FrameId, ...]
+    single: Tensor
+    blind: Tensor
+    target: Tensor
+
+    def among(self, index: Tensor) -> ControlPrediction | None:
+        """The part of it that belongs to some frames, or None if these are fewer than two.
+
+        Args:
+            index: (m,) int64 numbers of frames in the split.
+        """
+        kept = torch.isin(self.index, index)
+        if int(kept.sum()) < 2:
+            return None
+        frames = tuple(f for f, keep in zip(self.frames, kept.tolist(), strict=True) if keep)
+        columns = (self.single, self.blind, self.target)
+        return ControlPrediction(self.index[kept], frames, *(each[kept] for each in columns))
+
+
 def spread_of(answer: Answer, spread: str) -> tuple[Tensor, Tensor]:
     """σ and covariance of the error, of the kind asked for.
 

@@ -13,7 +13,7 @@ from uncal.metrics.bootstrap import bootstrap_ratio, ratio
 if TYPE_CHECKING:
     import pandas as pd
 
-    from uncal.inference.control import ControlPrediction
+    from uncal.models.split_prediction import ControlPrediction
     from uncal.recordings.frame import FrameId
 
 

@@ -30,7 +30,7 @@ from uncal.uncertainty.conformal.quantile import miscoverage
 if TYPE_CHECKING:
     import pandas as pd
 
-    from uncal.inference.control import ControlPrediction
+    from uncal.models.split_prediction import ControlPrediction
 
 CURVE_LEVELS: tuple[float, ...] = tuple(float(Fraction(k, 20)) for k in range(1, 20))
 """5%, 10%, … 95%."""
