@@ -149,6 +149,38 @@ def test_a_second_process_waits_for_the_first(
     assert "reusing the simulation" in caplog.text
 
 
+READS = """
+import sys
+from pathlib import Path
+from uncal.system.locking import note_reading
+note_reading(Path(sys.argv[1]))
+print("reads", flush=True)
+sys.stdin.read()
+"""
+
+
+def test_what_another_process_reads_is_not_replaced(
+    make_settings: MakeSettings, tiny_settings: SimulationSettings, tmp_path: Path
+) -> None:
+    root, other = tmp_path / "root", make_settings(seed=tiny_settings.seed + 1)
+    ensure_simulated(tiny_settings, root, progress=False)
+    before = {path: path.stat().st_mtime_ns for path in root.rglob("*.png")}
+    command = [sys.executable, "-c", READS, str(root)]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True) as reader:
+        assert reader.stdout is not None
+        assert reader.stdout.readline() == "reads\n"
+        with pytest.raises(RecordingError, match=rf"process {reader.pid} reads now"):
+            ensure_simulated(other, root, progress=False)
+        ensure_simulated(tiny_settings, root, progress=False)
+        assert {path: path.stat().st_mtime_ns for path in root.rglob("*.png")} == before
+        reader.communicate()
+    ensure_simulated(other, root, progress=False)
+    assert not before.keys() & {
+        path for path, then in before.items() if path.exists() and path.stat().st_mtime_ns == then
+    }
+
+
 KILLED = """
 import sys
 from pathlib import Path

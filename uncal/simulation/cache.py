@@ -8,6 +8,7 @@ from uncal.errors import ConfigurationError
 from uncal.simulation.manifest import missing_rigs
 from uncal.simulation.settings import SimulationSettings
 from uncal.simulation.writer import available_cores, write_rigs
+from uncal.system.locking import note_reading
 
 
 def ensure_simulated(
@@ -20,8 +21,8 @@ def ensure_simulated(
     result does not depend on the number of ``workers`` (None: one per available core).
 
     Raises:
-        RecordingError: ``root`` holds something that this simulator did not write; it is left
-            untouched. Or a worker died.
+        RecordingError: ``root`` holds something that this simulator did not write, or another
+            simulation that another process reads; it is left untouched. Or a worker died.
         ConfigurationError: ``workers`` is not positive.
     """
     if workers is not None and (not isinstance(workers, int) or workers < 1):
@@ -29,4 +30,5 @@ def ensure_simulated(
     with missing_rigs(settings, root) as missing:
         if missing:
             write_rigs(settings, root, missing, workers or available_cores(), progress)
+        note_reading(root)
     return root

@@ -13,7 +13,7 @@ from pathlib import Path
 from uncal.errors import RecordingError
 from uncal.simulation.formats.layouts import PARTIAL_PREFIX, is_own_folder, layout_of
 from uncal.simulation.settings import VERSION, SimulationSettings
-from uncal.system.locking import locked
+from uncal.system.locking import locked, other_readers
 
 log = logging.getLogger(__name__)
 
@@ -110,20 +110,28 @@ def read_manifest(root: Path) -> Manifest | None:
 def missing_rigs(settings: SimulationSettings, root: Path) -> Iterator[list[int]]:
     """Hold a folder while the caller simulates what is missing in it, which makes it finished.
 
-    A simulation of other settings or of another version of the simulator is removed first.
+    A simulation of other settings or of another version of the simulator is removed first, unless
+    another process reads it.
 
     Yields:
         Numbers of the rigs that are not there as a whole.
 
     Raises:
-        RecordingError: ``root`` holds something that this simulator did not write; it is left
-            untouched.
+        RecordingError: ``root`` holds something that this simulator did not write, or another
+            simulation that is being read; it is left untouched.
     """
     read_manifest(root)
     root.mkdir(parents=True, exist_ok=True)
     with locked(root / LOCK_NAME, f"simulates into {root}"):
         present = read_manifest(root)
         if present is not None and present.fingerprint != settings.fingerprint():
+            readers = other_readers(root)
+            if readers:
+                raise RecordingError(
+                    f"{root} holds a simulation with other settings, which process "
+                    f"{', '.join(readers)} reads now, so it is not replaced; wait for its end, or "
+                    "give this simulation another folder (dataset.root=… or root=…)"
+                )
             log.warning(
                 "%s holds a simulation with other settings or of another version (%s, wanted %s): "
                 "replacing it",

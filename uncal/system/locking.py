@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import logging
 import os
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -38,6 +40,50 @@ def locked(path: Path, work: str) -> Iterator[None]:
         yield
     finally:
         lock.release()
+
+
+_READ: dict[Path, FileLock] = {}
+"""Held until this process ends; by the folders that it reads."""
+
+
+def note_reading(folder: Path) -> None:
+    """Let other processes of this machine know, until this one ends, that it reads a folder."""
+    notes = _notes(folder)
+    if notes in _READ:
+        return
+    lock = FileLock(notes / f"{os.getpid()}.lock")
+    # Where nothing can be noted, all is as without notes.
+    with contextlib.suppress(OSError, NotImplementedError, Timeout):
+        notes.mkdir(parents=True, exist_ok=True)
+        lock.acquire(blocking=False)
+        _READ[notes] = lock
+
+
+def other_readers(folder: Path) -> list[str]:
+    """Process numbers of the others that read a folder now."""
+    return [
+        path.stem
+        for path in sorted(_notes(folder).glob("*.lock"))
+        if path.stem != str(os.getpid()) and _is_held(path)
+    ]
+
+
+def _is_held(path: Path) -> bool:
+    try:
+        with FileLock(path, blocking=False):
+            pass
+    except Timeout:
+        return True
+    except (OSError, NotImplementedError):
+        return False
+    with contextlib.suppress(OSError):
+        path.unlink()
+    return False
+
+
+def _notes(folder: Path) -> Path:
+    digest = hashlib.sha256(str(folder.resolve()).encode()).hexdigest()[:16]
+    return Path(tempfile.gettempdir()) / "uncal-readers" / digest
 
 
 def _holder(path: Path) -> str:
