@@ -242,8 +242,8 @@ class AlignmentEstimator(nn.Module):
             soon is too small: errors that edges and frames have in common do not average out.
 
     Raises:
-        ConfigurationError: a round at a scale that the network does not have, or a reach that is
-            none.
+        ConfigurationError: a round at a scale that the network does not have, or reaches that do
+            not fit the rounds.
     """
 
     def __init__(
