@@ -23,12 +23,11 @@ from uncal.models.alignment import (
     PRIOR,
     AlignmentEstimator,
     LearningSettings,
-    cross_entropy,
-    surprise,
 )
 from uncal.models.answer import State
 from uncal.models.edge_alignment import EdgeAlignmentEstimator
 from uncal.models.evidence import STRIDES, EvidenceNetwork
+from uncal.models.losses import cross_entropy, surprise
 from uncal.recordings.frame import FrameId
 from uncal.uncertainty import MCDropout
 

@@ -25,6 +25,7 @@ from uncal.geometry.displacement import true_displacement
 from uncal.models.answer import Answer, Prior, Question, State
 from uncal.models.edge_alignment import EdgeAlignmentEstimator
 from uncal.models.evidence import STRIDES, EvidenceNetwork
+from uncal.models.losses import cross_entropy, surprise
 
 PRIOR = 3.0
 """Precision of a uniform distribution over -1..1, the decalibrations in units of their range."""
@@ -443,43 +444,3 @@ class AlignmentEstimator(nn.Module):
             )
             total = total + self.learning.precision_weight * surprise(after, truth)
         return total
-
-
-def cross_entropy(curves: Tensor, offset: Tensor, seen: Tensor, stride: int) -> Tensor:
-    """Mean of -log p(true offset), linear between the two offsets next to it.
-
-    Args:
-        curves: (B, M, R) log-likelihoods, R odd.
-        offset: (B, M) true offsets, pixels; those beyond the curve do not count.
-        seen: (B, M) which edges do.
-        stride: pixels between the curve's offsets.
-
-    >>> curve = torch.log_softmax(torch.tensor([[[0.0, 1.0, 0.0]]]), -1)
-    >>> loss = cross_entropy(curve, torch.zeros(1, 1), torch.ones(1, 1), 1)
-    >>> torch.allclose(loss, -curve[0, 0, 1])
-    True
-    """
-    reach = curves.shape[-1] // 2
-    counted = seen * (offset.abs() < (reach - 0.5) * stride)
-    position = (offset / stride + reach).clamp(0.0, 2 * reach - 1e-3)
-    left = position.floor().long()
-    part = position - left
-    log = curves.log_softmax(-1)
-    at_left = log.gather(-1, left[..., None]).squeeze(-1)
-    at_right = log.gather(-1, left[..., None] + 1).squeeze(-1)
-    value = -(at_left * (1 - part) + at_right * part) * counted
-    return value.sum() / counted.sum().clamp(min=1.0)
-
-
-def surprise(state: State, truth: Tensor) -> Tensor:
-    """Gaussian -log p(truth) per DoF, without its constant; mean over units, each at most 8.
-
-    Args:
-        state: n units.
-        truth: (n, 6) in units of the range.
-    """
-    error = (truth - state.pose)[..., None]
-    factor: Tensor = torch.linalg.cholesky(state.covariance)
-    squared = (torch.cholesky_solve(error, factor) * error).sum((1, 2))
-    log_det = factor.diagonal(dim1=1, dim2=2).log().sum(1)
-    return ((0.5 * squared + log_det) / 6).clamp(max=8.0).mean()
