@@ -14,7 +14,7 @@ from uncal.geometry import DOF_NAMES, DOF_UNITS
 from uncal.multirun.folder import Multirun
 from uncal.multirun.jobs import UNFINISHED, Job, read_jobs, swept_keys
 from uncal.multirun.summary import summary_markdown, write_summary
-from uncal.reporting.frames import csv_text, write_csv
+from uncal.reporting.frames import CONTROL, JOINT, Schema, csv_text, write_csv
 
 COMMAND = "python -m uncal.train -m lidar.beams=16,64 seed=0,1"
 BEAMS = "dataset.simulation.lidar.beams"
@@ -37,6 +37,13 @@ def row(dof: int, level: float, picp: float, mpiw: float, ratio: float) -> dict[
         "n_test": 20,
         "n_calibration": 30,
     }
+
+
+def complete(schema: Schema, rows: list[dict[str, object]]) -> str:
+    """A table's file; columns that no test looks at are filled."""
+    filled = dict.fromkeys(schema.columns, 1) | {"unit": "cm", "groups": "rigs"}
+    filled |= {"joint_in_band": True} if schema is JOINT else {}
+    return csv_text(pd.DataFrame([filled | row for row in rows], columns=list(schema.columns)))
 
 
 def markdown(folder: Path) -> str:
@@ -204,10 +211,8 @@ def test_mask_seeds_repeat_like_seeds(tmp_path: Path) -> None:
 def test_the_first_table_is_of_all_dof(tmp_path: Path) -> None:
     finished(tmp_path / "0", "mcd.passes=5", seed=0, mpiw=1.0, ratio=0.5)
     finished(tmp_path / "1", "mcd.passes=10", seed=0, mpiw=2.0, ratio=0.5)
-    columns = ["level", "together", "joint", "bonferroni"]
-    (tmp_path / "1" / "joint.csv").write_text(
-        csv_text(pd.DataFrame([[90.0, 61.5, 92.25, 95.0]], columns=columns))
-    )
+    joint: dict[str, object] = {"level": 90.0, "together": 61.5, "joint": 92.25, "bonferroni": 95.0}
+    (tmp_path / "1" / "joint.csv").write_text(complete(JOINT, [joint]))
     lines = markdown(tmp_path).splitlines()
     table = lines[lines.index("## All DoF, 90% intervals") + 2 :]
     assert table[0] == (
@@ -224,15 +229,15 @@ def test_the_first_table_is_of_all_dof(tmp_path: Path) -> None:
 
 
 def test_the_control_says_point_errors_and_what_the_camera_contributes(tmp_path: Path) -> None:
-    columns = "dof mae_single mae_mean mae_blind contribution contribution_low contribution_high"
+    names = "dof mae_single mae_mean mae_blind contribution contribution_low contribution_high"
     for seed in (0, 1):
         for interval, number in (("conformal", seed), ("gaussian", 2 + seed)):
             if number < 3:  # of the second method one seed only
                 swept = (f"interval={interval}", f"seed={seed}")
                 finished(tmp_path / f"{number}", *swept, seed=seed, mpiw=1.0)
                 values = [1.0 + seed, 0.5, 4.0, 60.0 + 10 * seed, 50.0, 71.6]
-                rows = [[dof, *values] for dof in DOF_NAMES]
-                text = csv_text(pd.DataFrame(rows, columns=columns.split()))
+                rows = [dict(zip(names.split(), [dof, *values], strict=True)) for dof in DOF_NAMES]
+                text = complete(CONTROL, rows)
                 (tmp_path / f"{number}" / "control.csv").write_text(text)
     lines = markdown(tmp_path).splitlines()
     heading = "## Mean absolute error of one pass without dropout and of the MC mean"
@@ -343,3 +348,14 @@ def test_figures_are_shown_with_their_captions(tmp_path: Path) -> None:
     write_summary(tmp_path, COMMAND)
     shown = (tmp_path / "summary.md").read_text(encoding="utf-8")
     assert "\n![Coverage](figures/coverage.png)\n\nRead it, so.\n" in shown
+
+
+@pytest.mark.parametrize("schema", [CONTROL, JOINT])
+def test_a_job_with_a_table_of_other_columns_is_named(tmp_path: Path, schema: Schema) -> None:
+    for number in (0, 1):
+        finished(tmp_path / f"{number}", f"mcd.passes={5 + number}", seed=0, mpiw=1.0)
+    (tmp_path / "1" / schema.file).write_text("other\n1.0\n")
+    jobs = read_jobs(tmp_path)
+    assert jobs[0].table is not None
+    assert jobs[1].table is None
+    assert f"{schema.file} is damaged: no column" in (jobs[1].failure or "")

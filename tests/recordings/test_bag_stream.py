@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from rosbags.rosbag1 import Writer
 
 from uncal.errors import ConfigurationError, RecordingError
 from uncal.recordings.bag_conversion import write_folder
@@ -45,6 +46,23 @@ def test_pairs_by_stamp_in_every_kind_of_bag(tmp_path: Path, kind: str) -> None:
     assert seen[1].n_dropped == 1
     assert stream.counts == {"images": 3, "scans": 3, "pairs": 2, "scans without an image": 1,
                              "undistorted": 0}  # fmt: skip
+
+
+@pytest.mark.parametrize("compression", ["BZ2", "LZ4"])
+def test_compressed_chunks_of_a_first_bag(
+    tmp_path: Path, compression: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Compressed(Writer):
+        def __init__(self, path: Path) -> None:
+            super().__init__(path)
+            self.set_compression(self.CompressionFormat[compression])
+
+    monkeypatch.setattr("uncal.simulation.formats.bag.Writer1", Compressed)
+    path = tmp_path / "drive.bag"
+    write_bag(path, images(10.0, 10.1), scans(10.01, 10.11), K, T_CAM_LIDAR, kind="ros1")
+    assert f"compression={compression.lower()}".encode() in path.read_bytes()
+    with BagStream(path, tolerance_s=0.02) as stream:
+        assert [int(sample.image[0, 0, 0]) for sample in stream] == [0, 1]
 
 
 def test_a_single_mcap_file_and_an_offset(tmp_path: Path) -> None:

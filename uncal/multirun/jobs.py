@@ -113,14 +113,10 @@ def _read_job(path: Path, name: str) -> Job:
 
 
 def _results(path: Path) -> pd.DataFrame:
-    import pandas as pd
-
     table = read_csv(path / RESULTS.file, RESULTS)
     for schema, key in ((JOINT, "level"), (CONTROL, "dof")):
         if (path / schema.file).is_file():
-            words = ("dof", "unit", "groups", "joint_in_band")
-            exact = {name: float for name in schema.columns if name not in words}
-            other = pd.read_csv(path / schema.file, converters=exact)
+            other = read_csv(path / schema.file, schema)
             new = [name for name in other.columns if name == key or name not in table.columns]
             table = table.merge(other[new], on=key, how="left")
     return table

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import warnings
 from pathlib import Path
 from pickle import UnpicklingError
 from typing import cast
@@ -85,7 +86,9 @@ def load_checkpoint(path: Path) -> tuple[dict[str, Tensor], DictConfig]:
             f"ckpt={path}: no such file; runs keep theirs under outputs/*/*/checkpoints/best.ckpt"
         )
     try:
-        content = torch.load(path, map_location="cpu", weights_only=True)
+        with warnings.catch_warnings():  # torch asks to file an issue about a foreign pickle
+            warnings.simplefilter("ignore")
+            content = torch.load(path, map_location="cpu", weights_only=True)
         state, recipe = content["state_dict"], content["uncal_recipe"]
     except Exception as error:
         raise ConfigurationError(
