@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import pytest
@@ -30,8 +31,13 @@ def composed(entry_point: str, *overrides: str) -> DictConfig:
 
 def test_the_sweeps_are_the_documented_ones() -> None:
     readme = (ROOT / "sweeps" / "README.md").read_text(encoding="utf-8")
-    listed = sorted(line.split("`")[1] for line in readme.splitlines() if line.startswith("| `"))
-    assert listed == ["+sweeps=", *SWEEPS]
+    table = [line for line in readme.splitlines() if line.startswith("| `")]
+    assert sorted(line.split("`")[1] for line in table) == ["+sweeps=", *SWEEPS]
+    for name, line in ((line.split("`")[1], line) for line in table[1:]):
+        if name not in (*SINGLE, *OWN):
+            params = composed("train", f"+sweeps={name}").hydra.sweeper.params
+            jobs = math.prod(len(str(values).split(",")) for values in params.values())
+            assert jobs == int(line.split("|")[3]), name
 
 
 @pytest.mark.parametrize(
