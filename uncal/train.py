@@ -43,8 +43,7 @@ def main(config: DictConfig) -> float:
     from uncal.settings.check import check_settings
     from uncal.system.memory import keep_freed_memory
     from uncal.weights.ingredients import data_ingredients, training_ingredients
-    from uncal.weights.kept import stays_trained
-    from uncal.weights.load_or_train import Weights, load_or_train
+    from uncal.weights.load_or_train import Weights, load_or_train, stays_trained
     from uncal.weights.shipped import find_weights
     from uncal.weights.store import WeightStore
 
@@ -136,7 +135,7 @@ def fit(
     from uncal.callbacks.divergence import diverged
     from uncal.errors import DivergenceError
     from uncal.runs.checkpoint import save_weights
-    from uncal.weights.kept import how_to_finish
+    from uncal.weights.load_or_train import how_to_finish
 
     try:
         trainer.fit(module, datamodule=data, ckpt_path=start)

@@ -8,7 +8,7 @@ import pytest
 from hydra import compose, initialize_config_dir
 from omegaconf import DictConfig, open_dict
 
-from uncal.multirun.plan import planned_jobs, share_cores, threads_per_job
+from uncal.multirun.callback import planned_jobs, share_cores, threads_per_job
 from uncal.settings.configuration import CONFIG_DIR
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uncal.errors import ConfigurationError, FrameError
-from uncal.events.pixel_map import PixelMap
+from uncal.events.stream import PixelMap
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,7 @@ from uncal.geometry import DOF_NAMES
 from uncal.models.split_prediction import SPREADS
 from uncal.uncertainty.conformal.calibrator import IntervalCalibrator
 from uncal.uncertainty.dropout.masks import FixedMasks
-from uncal.uncertainty.dropout.mc_dropout import MCDropout
-from uncal.uncertainty.dropout.single_pass import SinglePass
+from uncal.uncertainty.dropout.mc_dropout import MCDropout, SinglePass
 
 _Settings = TypeVar("_Settings", "DropoutSettings", "IntervalSettings")
 

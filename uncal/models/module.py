@@ -19,7 +19,6 @@ from uncal.errors import UncertaintyError
 from uncal.geometry import DOF_NAMES
 from uncal.models.answer import Estimator
 from uncal.models.losses import relative_error
-from uncal.models.schedule import follow
 from uncal.models.split_prediction import SplitPrediction, frame_seed, join_predictions, pass_names
 from uncal.recordings.frame import FrameId
 from uncal.run_state import RunState
@@ -257,3 +256,22 @@ class CalibrationModule(lightning.LightningModule):
             "optimizer": optimizer,
             "lr_scheduler": {"scheduler": scheduler, "interval": "step"},
         }
+
+
+def follow(schedulers: Iterable[object]) -> None:
+    """Give every optimiser the rate that its schedule has for the coming step.
+
+    A checkpoint brings the rate of the schedule that it was made under. In a training resumed with
+    another length the first step would still follow that one; with the same length this changes
+    nothing, to the last bit.
+
+    Args:
+        schedulers: of a training; those that are no :class:`LambdaLR` are left alone.
+    """
+    for scheduler in schedulers:
+        if not isinstance(scheduler, LambdaLR):
+            continue
+        groups = scheduler.optimizer.param_groups
+        parts = zip(groups, scheduler.base_lrs, scheduler.lr_lambdas, strict=True)
+        for group, base, factor in parts:
+            group["lr"] = base * factor(scheduler.last_epoch)

@@ -1,7 +1,7 @@
 """DSEC (Gehrig et al., "DSEC: A Stereo Event Camera Dataset for Driving Scenarios", RA-L 2021).
 
 A frame is a LiDAR scan and the events that lead up to it. See :mod:`uncal.recordings.dsec_layout`
-for the files and :mod:`uncal.recordings.dsec_sequences` for the official splits.
+for the files and :mod:`uncal.recordings.dsec_layout` for the official splits.
 """
 
 from __future__ import annotations
@@ -17,12 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uncal.errors import RecordingError
-from uncal.recordings.calibration_files import CameraCalibration
-from uncal.recordings.dsec_calibration import SIDES, event_camera_calibration
+from uncal.recordings.calibration_files import SIDES, CameraCalibration, event_camera_calibration
 from uncal.recordings.dsec_events import inspect_events, read_rectify_map
-from uncal.recordings.dsec_layout import REMEDY, SequenceFolder, find_sequences
+from uncal.recordings.dsec_layout import REMEDY, SequenceFolder, drive_of, find_sequences
 from uncal.recordings.dsec_pairing import SCAN_TIMES, EventWindow, PairedSequence, pair
-from uncal.recordings.dsec_sequences import drive_of
 from uncal.recordings.folder_listing import choose, one_of
 from uncal.recordings.folder_recording import check_stride
 from uncal.recordings.frame import Frame, FrameId
@@ -52,7 +50,7 @@ class Dsec:
         window_ms: length of the event window before each scan, milliseconds.
         min_events: a frame with fewer events is left out; a standing car sees next to nothing.
         sequences: names or shell patterns (``zurich_city_0*``); all if None.
-        side: event camera, a key of :data:`~uncal.recordings.dsec_calibration.SIDES`.
+        side: event camera, a key of :data:`~uncal.recordings.calibration_files.SIDES`.
         stride: keep every ``stride``-th scan of each sequence.
         scan_time: when the window ends, one of :data:`SCAN_TIMES`. DSEC does not say which moment
             of the sweep its stamps are. The field ``time`` of the points counts from the stamp, so

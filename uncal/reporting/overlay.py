@@ -8,9 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from uncal.events.pixel_map import PixelMap
 from uncal.events.representations import Histogram
-from uncal.events.stream import Events
+from uncal.events.stream import Events, PixelMap
 
 NEAR_M = 4.0
 FAR_M = 60.0

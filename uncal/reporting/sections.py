@@ -11,7 +11,7 @@ import torch
 
 from uncal.geometry import DOF_NAMES, DOF_UNITS
 from uncal.metrics.bootstrap import CONFIDENCE, RESAMPLES
-from uncal.metrics.calibration_curve import calibration_error
+from uncal.metrics.functional import calibration_error
 from uncal.reporting.control import blind_dofs
 from uncal.reporting.evaluation import Guarantee
 from uncal.reporting.layout import Grid, length, markdown_lines, number

@@ -32,9 +32,9 @@ from uncal.models.module import CalibrationModule
 from uncal.recordings.frame import Recording
 from uncal.runs.checkpoint import WholeCheckpoints
 from uncal.settings.guard import names_the_setting
-from uncal.simulation.cache import ensure_simulated
 from uncal.simulation.manifest import MANIFEST_NAME
 from uncal.simulation.settings import SimulationSettings
+from uncal.simulation.writer import ensure_simulated
 from uncal.uncertainty.dropout.layers import dropout_rates, insert_dropout
 
 log = logging.getLogger(__name__)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from uncal.errors import ConfigurationError
-from uncal.recordings.dsec_sequences import TEST, TRAIN, drive_of
+from uncal.recordings.dsec_layout import TEST, TRAIN, drive_of
 from uncal.recordings.frame import FrameId
 from uncal.settings.rules import number, require
 from uncal.splits.splits import SPLITS, by_name, seeded_hash, split_frames

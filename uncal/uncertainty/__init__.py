@@ -5,16 +5,15 @@ from uncal.errors import (
     PredictorMismatchError,
     UncertaintyError,
 )
-from uncal.uncertainty.conformal.absolute import AbsoluteCalibrator
 from uncal.uncertainty.conformal.calibrator import IntervalCalibrator
-from uncal.uncertainty.conformal.coverage_law import coverage_band, coverage_law
-from uncal.uncertainty.conformal.cqr import QuantileCalibrator
-from uncal.uncertainty.conformal.gaussian import GaussianIntervals
-from uncal.uncertainty.conformal.hierarchical import HierarchicalCalibrator
-from uncal.uncertainty.conformal.mondrian import MondrianCalibrator
+from uncal.uncertainty.conformal.groups import HierarchicalCalibrator, MondrianCalibrator
+from uncal.uncertainty.conformal.quantile import coverage_band, coverage_law
 from uncal.uncertainty.conformal.split_conformal import (
+    AbsoluteCalibrator,
     ConformalCalibrator,
+    GaussianIntervals,
     Intervals,
+    QuantileCalibrator,
     conformal_quantile,
     conformal_rank,
     miscoverage,

@@ -13,8 +13,7 @@ from torch import Tensor
 
 from uncal.errors import ConfigurationError, NotCalibratedError, UncertaintyError
 from uncal.uncertainty.conformal.fitted_state import CalibratorState
-from uncal.uncertainty.conformal.inputs import InputChecks, at_least_float32
-from uncal.uncertainty.conformal.intervals import Anchors, Intervals
+from uncal.uncertainty.conformal.intervals import Anchors, InputChecks, Intervals, at_least_float32
 from uncal.uncertainty.conformal.quantile import conformal_rank, miscoverage, warn_too_few
 from uncal.uncertainty.dropout.fingerprint import PredictorIdentity
 

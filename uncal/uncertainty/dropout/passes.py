@@ -12,8 +12,7 @@ from torch import Tensor, nn
 
 from uncal.errors import UncertaintyError
 from uncal.uncertainty.dropout.masks import FixedMasks
-from uncal.uncertainty.dropout.nested import iterate_tensors
-from uncal.uncertainty.dropout.replicated import Replicated
+from uncal.uncertainty.dropout.replicated import Replicated, iterate_tensors
 from uncal.uncertainty.dropout.shared_prefix import DivergedError, SharedPrefix
 from uncal.uncertainty.dropout.stochastic_layers import StochasticLayers
 

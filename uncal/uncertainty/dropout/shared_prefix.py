@@ -16,8 +16,7 @@ import torch
 from lightning_utilities.core.apply_func import apply_to_collection
 from torch import Tensor, nn
 
-from uncal.uncertainty.dropout.nested import is_mappable, iterate_tensors
-from uncal.uncertainty.dropout.replicated import Replicated
+from uncal.uncertainty.dropout.replicated import Replicated, is_mappable, iterate_tensors
 from uncal.uncertainty.dropout.stochastic_layers import (
     FirstDropout,
     Forward,
