@@ -34,14 +34,8 @@ def synthetic_inputs(
 ) -> NetworkInput:
     """Noise, a tenth of the pixels with a LiDAR point, and edges ahead of the camera.
 
-    Args:
-        size: (H, W).
-        batch: B, each frame a unit of its own.
-        edges: M, of a sweep.
-        device: where to.
-
     Returns:
-        Input of five channels with (B, M, columns) edges.
+        Input of five channels and (H, W) for a batch of B frames, with (B, M, columns) edges.
     """
     generator = torch.Generator().manual_seed(0)
     height, width = size
@@ -118,7 +112,7 @@ def measure_latency(
         network: (B, ...) inputs → (B, D).
         inputs: its arguments.
         passes: N.
-        rounds: how often each contestant runs, after the calls in which its operations are counted.
+        rounds: how often each contestant runs, after its operations are counted.
         compiled: add torch.compile (and, on a GPU, CUDA graphs).
 
     Returns:

@@ -30,6 +30,9 @@ CHUNK = 1 << 14
 class BorderedGrid:
     """Planes with a border that takes what falls outside of the image.
 
+    Stray and non-finite coordinates land there rather than being searched for, which would cost
+    more than drawing them.
+
     Attributes:
         flat: all cells.
         stride: cells from one row to the next.

@@ -1,4 +1,4 @@
-"""The events of one window, as every reader returns them."""
+"""The events of one window, as every reader returns them, and the way to the network's pixels."""
 
 from __future__ import annotations
 

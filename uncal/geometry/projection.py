@@ -1,4 +1,7 @@
-"""LiDAR sweeps to depth and intensity images, z-buffered, a whole batch at once, on any device."""
+"""LiDAR sweeps to z-buffered images, a whole batch at once, on any device; how pixels move there.
+
+When a decalibration is taken out, they move: to first order, and exactly.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""MC-dropout predictions of a whole split, outside Lightning's own loops."""
+"""Predictions of a whole split, outside Lightning's own loops: MC dropout's, and the control's.
+
+The image-blind control is the same test, fed with what the camera saw in another frame.
+"""
 
 from __future__ import annotations
 
@@ -43,10 +46,8 @@ def predict_split(
     """
     parts: list[SplitPrediction] = []
     loader = data.loader_of(split, most, share=(trainer.global_rank, trainer.world_size))
-    quiet = not trainer.is_global_zero
-    bar = watched(loader, f"MC dropout, {split}", quiet=quiet)
     with torch.inference_mode():
-        for batch in bar:
+        for batch in watched(loader, f"MC dropout, {split}", quiet=not trainer.is_global_zero):
             inputs = data.on_after_batch_transfer(batch.to(module.device), 0)
             if inputs is None:
                 continue
@@ -119,8 +120,7 @@ def _estimate(
     """Places (B,) and both estimates beside the target (B, 18), per batch of this process."""
     parts: list[tuple[Tensor, Tensor]] = []
     loader = data.loader_of(split, order=mine)
-    quiet = not trainer.is_global_zero
-    bar = watched(loader, f"image-blind, {split}", quiet=quiet)
+    bar = watched(loader, f"image-blind, {split}", quiet=not trainer.is_global_zero)
     before: Tensor | None = None
     with torch.inference_mode(), only_active(module, []):
         for loaded in bar:
@@ -156,12 +156,7 @@ def _camera_before(dataset: FrameDataset, order: Sequence[int], unit: int) -> Te
 
 
 def _of_units_before(before: Tensor, batch: Batch) -> Tensor:
-    """(B, C, H, W) for each frame the camera of the unit before, frame by frame.
-
-    Args:
-        before: (W, C, H, W) cameras of the unit before the first.
-        batch: B frames.
-    """
+    """(B, C, H, W) of the unit before, frame by frame; (W, C, H, W) before the first unit."""
     cameras = []
     for unit in range(len(batch.unit_index)):
         own = batch.camera[batch.unit == unit]

@@ -36,17 +36,9 @@ def covered(lower: Tensor, upper: Tensor, target: Tensor) -> Tensor:
 
 
 def width(lower: Tensor, upper: Tensor) -> Tensor:
-    """The width of each interval.
+    """The width of each interval: (n, ...), at least 0, in the bounds' units.
 
-    Args:
-        lower: (n, ...) lower bounds, -inf allowed.
-        upper: (n, ...) upper bounds, +inf allowed.
-
-    Returns:
-        (n, ...) widths, at least 0, in the bounds' units.
-
-    Raises:
-        ValueError: other shapes, no samples, NaN, or crossed bounds.
+    Arguments and errors are those of :func:`covered`.
 
     >>> width(torch.tensor([0.0, -torch.inf]), torch.tensor([2.0, torch.inf])).tolist()
     [2.0, inf]
@@ -58,17 +50,10 @@ def width(lower: Tensor, upper: Tensor) -> Tensor:
 def score(lower: Tensor, upper: Tensor, target: Tensor, alpha: float) -> Tensor:
     """The interval score of each sample: width plus 2/α times the distance of a miss.
 
-    Args:
-        lower: (n, ...) lower bounds, -inf allowed.
-        upper: (n, ...) upper bounds, +inf allowed.
-        target: (n, ...) finite truth.
-        alpha: miscoverage level of the intervals, in (0, 1).
+    Arguments and errors are those of :func:`covered`; alpha is the miscoverage level in (0, 1).
 
     Returns:
         (n, ...) scores in the bounds' units; lower is better, +inf for an infinite interval.
-
-    Raises:
-        ValueError: as :func:`covered`, or α outside (0, 1).
 
     >>> score(torch.zeros(2), torch.ones(2), torch.tensor([0.5, 1.5]), alpha=0.5).tolist()
     [1.0, 3.0]
@@ -189,9 +174,6 @@ def calibration_error(observed: Tensor, levels: Sequence[float]) -> CalibrationE
         observed: (L, D) empirical coverage in 0..1, one row per level.
         levels: L nominal levels, in (0, 1).
 
-    Returns:
-        The mean absolute and the mean signed distance, both (D,).
-
     Raises:
         ValueError: another number of levels, none, or a level outside (0, 1).
 
@@ -199,7 +181,10 @@ def calibration_error(observed: Tensor, levels: Sequence[float]) -> CalibrationE
     >>> [round(value.item(), 3) for value in error]
     [0.1, 0.0]
     """
-    check_levels(levels)
+    if not levels or not all(0 < level < 1 for level in levels):
+        raise ValueError(
+            f"levels {list(levels)}: expected at least one, all in (0, 1), such as 0.9 for 90%."
+        )
     if observed.ndim != 2 or len(observed) != len(levels):
         raise ValueError(
             f"a curve of shape {tuple(observed.shape)} for {len(levels)} levels; expected "
@@ -208,16 +193,3 @@ def calibration_error(observed: Tensor, levels: Sequence[float]) -> CalibrationE
     nominal = torch.tensor(list(levels), dtype=observed.dtype, device=observed.device)
     distance = observed - nominal[:, None]
     return CalibrationError(distance.abs().mean(0), distance.mean(0))
-
-
-def check_levels(levels: Sequence[float]) -> None:
-    """Refuse levels that a curve cannot have.
-
-    Raises:
-        ValueError: none, or one outside (0, 1).
-    """
-    bad = [level for level in levels if not 0 < level < 1]
-    if bad or not levels:
-        raise ValueError(
-            f"levels {list(levels)}: expected at least one, all in (0, 1), such as 0.9 for 90%."
-        )

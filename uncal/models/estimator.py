@@ -1,4 +1,8 @@
-"""A network and the solver behind it, as one function from inputs to pose."""
+"""A network and the solver behind it, as one function from inputs to pose.
+
+The solver goes from a displacement map to six numbers: weighted least squares through the
+projection.
+"""
 
 from __future__ import annotations
 
@@ -28,15 +32,9 @@ class GridPoints(NamedTuple):
 
 
 def grid_points(inverse_depth: Tensor, K: Tensor, grid: tuple[int, int]) -> GridPoints:
-    """Back-project the nearest return of every cell, from the pixel in which it lies.
+    """Back-project the nearest return of each of (h, w) cells, from the pixel in which it lies.
 
-    Args:
-        inverse_depth: (B, 1, H, W) 1/m; 0 where no point falls.
-        K: (B, 3, 3) camera matrices of that image.
-        grid: (h, w) cells.
-
-    Returns:
-        The points, in the order of the flattened grid.
+    Args and shapes are those of :meth:`PointGeometry.forward`; in the order of the flattened grid.
     """
     width = inverse_depth.shape[-1]
     nearest, index = F.adaptive_max_pool2d(inverse_depth, grid, return_indices=True)
@@ -82,7 +80,7 @@ class PointGeometry(nn.Module):
         """Look at one batch.
 
         Args:
-            inverse_depth: (B, 1, H, W) 1/m of the decalibrated projection.
+            inverse_depth: (B, 1, H, W) 1/m of the decalibrated projection; 0 without a point.
             K: (B, 3, 3) camera matrices.
             T_init: (B, 4, 4) decalibrated extrinsics.
             grid: (h, w) cells of the displacement map.
@@ -111,15 +109,7 @@ class GeometricSolver(nn.Module):
         self.log_ridge = nn.Parameter(torch.full((6,), ridge).log())
 
     def forward(self, flow: Tensor, geometry: Geometry) -> Tensor:
-        """Solve for six numbers.
-
-        Args:
-            flow: (B, 4, h, w) displacement in pixels and two log-weights.
-            geometry: of the points in the map's cells.
-
-        Returns:
-            (B, 6) decalibration, metres and radians.
-        """
+        """(B, 6) decalibration, metres and radians, of (B, 4, h, w) pixels and two log-weights."""
         flow = flow.float().flatten(2).transpose(1, 2)
         seen, jacobian = geometry.points.seen, geometry.jacobian.flatten(1, 2)
         weight = flow[..., 2:].clamp(-8.0, 8.0).exp() * seen[..., None]
@@ -201,13 +191,7 @@ class PoseEstimator(nn.Module):
         return Question(_single(batch), None)
 
     def answer(self, samples: Tensor, batch: NetworkInput, question: Question) -> Answer:
-        """The passes as they are; there is no covariance but that of dropout.
-
-        Args:
-            samples: (N, B, 6 or 18).
-            batch: the same batch.
-            question: what was asked.
-        """
+        """The (N, B, 6 or 18) passes as they are; there is no covariance but that of dropout."""
         return Answer(samples, None)
 
     def loss(self, batch: NetworkInput) -> Tensor:
@@ -233,9 +217,6 @@ class PoseEstimator(nn.Module):
             inverse_depth: (B, 1, H, W) 1/m of the decalibrated projection.
             K: (B, 3, 3) camera matrices.
             T_init: (B, 4, 4) decalibrated extrinsics.
-
-        Returns:
-            Pose, and what else the network says.
 
         Raises:
             ValueError: the network returned none of the shapes above.

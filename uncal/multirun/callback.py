@@ -60,14 +60,14 @@ class MultirunSummary(Callback):
         self, config: DictConfig, *, task_function: TaskFunction, **kwargs: object
     ) -> None:
         """List the job as unfinished, so that an interrupted multirun shows it."""
-        if is_multirun(config):
+        if config.hydra.mode == RunMode.MULTIRUN:
             restore_start_method()
             (Path(config.hydra.runtime.output_dir) / FAILED).unlink(missing_ok=True)
             self._write(config)
 
     def on_job_end(self, config: DictConfig, job_return: JobReturn, **kwargs: object) -> None:
         """Take the job in; keep the reason if it failed."""
-        if not is_multirun(config):
+        if config.hydra.mode != RunMode.MULTIRUN:
             return
         if job_return.status is JobStatus.FAILED:
             folder = Path(config.hydra.runtime.output_dir)
@@ -126,11 +126,6 @@ def make_portable(job_return: JobReturn, reason: str) -> None:
         pickle.loads(pickle.dumps(job_return._return_value))
     except Exception:
         job_return.return_value = CompactHydraException(reason)
-
-
-def is_multirun(config: DictConfig) -> bool:
-    """Whether a job belongs to a multirun."""
-    return bool(config.hydra.mode == RunMode.MULTIRUN)
 
 
 def failure(job_return: JobReturn) -> str:

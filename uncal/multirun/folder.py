@@ -8,8 +8,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias, cast
+from typing import TypeAlias, cast
 
+import pandas as pd
 import yaml  # type: ignore[import-untyped]
 
 from uncal.errors import UncalError
@@ -17,9 +18,6 @@ from uncal.reporting.frames import CONTROL, JOINT, RESULTS, read_csv
 from uncal.reporting.layout import read_json
 from uncal.reporting.run import FAILED, UNKNOWN, Run, why_failed
 from uncal.reporting.run_record import NAME, read_record
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 SUMMARY = "summary.csv"
 
@@ -141,8 +139,6 @@ def _read_job(path: Path, name: str) -> Job:
 
 
 def _results(path: Path) -> pd.DataFrame:
-    import pandas as pd
-
     table = read_csv(path / RESULTS.file, RESULTS)
     for schema, key in ((JOINT, "level"), (CONTROL, "dof")):
         if (path / schema.file).is_file():
@@ -241,8 +237,6 @@ class Multirun:
         """
         if not self.finished:
             return None
-        import pandas as pd
-
         parts = []
         for job in self.finished:
             before = {key: job.overrides.get(key, "") for key in swept_keys(self.jobs)}

@@ -9,7 +9,9 @@ import statistics
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TypeAlias
+
+import pandas as pd
 
 from uncal.geometry import DOF_NAMES, DOF_UNITS
 from uncal.multirun.folder import (
@@ -28,11 +30,6 @@ from uncal.multirun.folder import (
 from uncal.multirun.sweep import Quantity, Sweep
 from uncal.reporting.layout import Grid, number, write_whole
 from uncal.reporting.sections import Section
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-    from uncal.multirun.sweep import Sweep
 
 _WITHOUT_RESULTS = "Jobs without results"
 
@@ -212,14 +209,8 @@ def summary_markdown(multirun: Multirun) -> str:
 
 def summary_sections(multirun: Multirun) -> list[Section]:
     """The jobs in words; all DoF in one table, a table per level, errors; jobs without results."""
-    sections, sweep = [], None
-    if multirun.frame is not None:
-        # Pandas takes a second to import, which a run that is no multirun has no use for.
-        from uncal.multirun.summary import summary_tables
-        from uncal.multirun.sweep import Sweep
-
-        sweep = Sweep(multirun.frame)
-        sections = summary_tables(sweep)
+    sweep = None if multirun.frame is None else Sweep(multirun.frame)
+    sections = [] if sweep is None else summary_tables(sweep)
     if without := _without_results(multirun):
         sections.append(Section(_WITHOUT_RESULTS, [], without))
     return [Section("Jobs", [], _job_notes(multirun, sweep)), *sections]

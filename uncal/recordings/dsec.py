@@ -1,7 +1,7 @@
 """DSEC (Gehrig et al., "DSEC: A Stereo Event Camera Dataset for Driving Scenarios", RA-L 2021).
 
 A frame is a LiDAR scan and the events that lead up to it. See :mod:`uncal.recordings.dsec_layout`
-for the files and :mod:`uncal.recordings.dsec_layout` for the official splits.
+for the files and the official splits.
 """
 
 from __future__ import annotations
@@ -80,7 +80,6 @@ class Dsec:
         scan_time: str = "end",
         untwist: bool = True,
     ) -> None:
-        """Find the sequences, read their calibration and index their scans; no event is read."""
         require("window_ms", window_ms, number(0.001, 60_000))
         require("min_events", min_events, number(0, 1e9, whole=True))
         one_of(side, list(SIDES), "side")
@@ -154,12 +153,9 @@ class Dsec:
         frames, poor = sequence.sort_out(self._window, self._stride)
         self._sequences[rig, folder.name] = sequence
         self.frame_ids += [FrameId(rig, folder.name, index) for index in frames]
-        self.skipped |= {
-            str(FrameId(rig, folder.name, index)): reason for index, reason in poor.items()
-        }
-        log.info(
-            "sequence %s: %d frames, %d with too few events", folder.name, len(frames), len(poor)
-        )
+        self.skipped |= {str(FrameId(rig, folder.name, i)): reason for i, reason in poor.items()}
+        sizes = (folder.name, len(frames), len(poor))
+        log.info("sequence %s: %d frames, %d with too few events", *sizes)
 
     def _motion(self, folder: SequenceFolder, bag: LidarBag) -> SweepMotion | None:
         if not self._untwist:

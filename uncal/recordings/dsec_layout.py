@@ -75,6 +75,8 @@ _LETTER = re.compile(r"(.+)_[a-z]")
 def drive_of(sequence: str) -> str:
     """The drive that a sequence is a part of: its name without the letter.
 
+    It was recorded in one go with one LiDAR file, and cut into ``zurich_city_04_a`` ... ``_f``.
+
     >>> drive_of("zurich_city_04_a")
     'zurich_city_04'
     """

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import TYPE_CHECKING
 
+import pandas as pd
 import torch
 
 from uncal.geometry import DOF_NAMES, DOF_UNITS
@@ -16,9 +16,6 @@ from uncal.reporting.control import blind_dofs
 from uncal.reporting.evaluation import Guarantee
 from uncal.reporting.layout import Grid, length, markdown_lines, number
 from uncal.uncertainty.conformal.quantile import samples_needed
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 DOF_HEADINGS = [f"{dof} ({unit})" for dof, unit in zip(DOF_NAMES, DOF_UNITS, strict=True)]
 

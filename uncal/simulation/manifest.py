@@ -1,4 +1,8 @@
-"""``simulation.json``: what a simulated folder is, and the mark that it is ours to replace."""
+"""``simulation.json``: what a simulated folder is, and the mark that it is ours to replace.
+
+A layout prepares a rig, its pieces are written by any number of processes, and it is finished, all
+in a folder ``partial`` that mirrors the root; then its folders move to the root.
+"""
 
 from __future__ import annotations
 

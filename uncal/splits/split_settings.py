@@ -128,15 +128,10 @@ class SplitSettings:
     test_drives: Sequence[str] | None = None
 
     def split(self, frame_ids: Sequence[FrameId], window: int = 1) -> FrameSplit:
-        """Share frames out.
+        """Share all frames out; those that a setting leaves out are in no split.
 
-        Args:
-            frame_ids: all of them.
-            window: consecutive frames that one estimate is made of; ``frame`` and ``block`` keep
-                whole windows together, so that those of one split never reach into another.
-
-        Returns:
-            The split; frames that a setting leaves out are in none.
+        One estimate is made of a ``window`` of consecutive frames; ``frame`` and ``block`` keep
+        whole windows together, so that those of one split never reach into another.
 
         Raises:
             ConfigurationError: a setting is out of range or does not fit these frames.

@@ -7,22 +7,26 @@ from uncal.errors import (
 )
 from uncal.uncertainty.conformal.calibrator import IntervalCalibrator
 from uncal.uncertainty.conformal.groups import HierarchicalCalibrator, MondrianCalibrator
-from uncal.uncertainty.conformal.quantile import coverage_band, coverage_law
+from uncal.uncertainty.conformal.intervals import Intervals
+from uncal.uncertainty.conformal.quantile import (
+    conformal_quantile,
+    conformal_rank,
+    coverage_band,
+    coverage_law,
+    miscoverage,
+    samples_needed,
+)
 from uncal.uncertainty.conformal.split_conformal import (
     AbsoluteCalibrator,
     ConformalCalibrator,
     GaussianIntervals,
-    Intervals,
     QuantileCalibrator,
-    conformal_quantile,
-    conformal_rank,
-    miscoverage,
-    samples_needed,
 )
 from uncal.uncertainty.dropout.fingerprint import PredictorIdentity, fingerprint
 from uncal.uncertainty.dropout.layers import dropout_layers, dropout_rates, insert_dropout
 from uncal.uncertainty.dropout.masks import FixedMasks
-from uncal.uncertainty.dropout.mc_dropout import MCDropout, Prediction
+from uncal.uncertainty.dropout.mc_dropout import MCDropout
+from uncal.uncertainty.dropout.prediction import Prediction
 
 __all__ = [
     "AbsoluteCalibrator",

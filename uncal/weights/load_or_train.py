@@ -1,4 +1,4 @@
-"""Trained weights, found again or trained now."""
+"""Trained weights, found again or trained now; they stay, whatever goes wrong after it."""
 
 from __future__ import annotations
 
@@ -83,10 +83,10 @@ def load_or_train(
     if _is_follower():
         # Its leader holds the lock and waits for it; both see the same files.
         found = None if retrain else store.find()
-        if found is None:
-            start = None if retrain else store.interrupted()
-            return Weights(train(start), store.fingerprint, False, None)
-        return Weights(store.checkpoint, store.fingerprint, True, found)
+        if found is not None:
+            return Weights(store.checkpoint, store.fingerprint, True, found)
+        start = None if retrain else store.interrupted()
+        return Weights(train(start), store.fingerprint, False, None)
     with store.locked():
         found = None if retrain else store.find()
         if found is not None:
@@ -117,10 +117,7 @@ def _is_follower() -> bool:
 
 @contextmanager
 def stays_trained(checkpoint: Path) -> Iterator[None]:
-    """Say how to go on with trained weights if what follows the training fails.
-
-    Raises:
-        UncalError: what was raised, with the command that finishes the job.
+    """Say which command finishes the job if what follows the training fails.
 
     >>> with stays_trained(Path("best.ckpt")):
     ...     raise UncalError("interval.levels=[1.0]: expected …")
@@ -159,8 +156,7 @@ def override(key: str, path: Path) -> str:
     'ckpt="out/a=1/best.ckpt"'
     """
     text = str(path)
-    plain = all(letter.isalnum() or letter in "/._-" for letter in text)
-    if plain:
-        return shlex.quote(f"{key}={text}")
-    escaped = text.replace('"', '\\"')
-    return shlex.quote(f'{key}="{escaped}"')
+    if not all(letter.isalnum() or letter in "/._-" for letter in text):
+        escaped = text.replace('"', '\\"')
+        text = f'"{escaped}"'
+    return shlex.quote(f"{key}={text}")

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import pandas as pd
 
 from uncal.geometry import DOF_NAMES
 from uncal.reporting.evaluation import BAND_CONFIDENCE
@@ -13,9 +15,6 @@ from uncal.reporting.figures.predictions import ordered_intervals, width_against
 from uncal.reporting.figures.style import NamedFigure
 from uncal.reporting.frames import CURVE, JOINT, PREDICTIONS, Schema, read_csv
 from uncal.reporting.run import Run
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 _BAND = f"{100 * BAND_CONFIDENCE:g} % reference band"
 

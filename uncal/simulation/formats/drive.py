@@ -24,19 +24,12 @@ SEEN_ABREAST_M = 40.0
 
 @dataclass(frozen=True)
 class Piece:
-    """Consecutive frames of one drive: the unit of work of one process.
-
-    Attributes:
-        rig: number of the rig.
-        drive: number of the drive within the rig.
-        first: first frame.
-        last: one past the last frame.
-    """
+    """Consecutive frames of one drive: the unit of work of one process."""
 
     rig: int
-    drive: int
+    drive: int  # within the rig
     first: int
-    last: int
+    last: int  # one past the last frame
 
 
 @lru_cache(maxsize=1)

@@ -7,6 +7,7 @@ import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,44 +87,17 @@ def midnight_us(rig: int) -> int:
     return (day - datetime.date(1970, 1, 1)).days * 86_400 * 10**6
 
 
-@dataclass(frozen=True)
-class Recorded:
-    """What a piece has recorded, frame after frame.
-
-    Attributes:
-        x: (n,) uint16 column of the events in the sensor, pixels.
-        y: (n,) uint16 row.
-        t: (n,) int64 microseconds since midnight UTC.
-        p: (n,) bool, whether the pixel became brighter.
-        points: (m, 4) float32 of all sweeps: x, y, z in metres and reflectance in 0..1.
-        ring: (m,) uint16 beams, counted from the lowest.
-        points_per_frame: (frames,) int64.
-    """
-
-    x: NDArray[np.uint16]
-    y: NDArray[np.uint16]
-    t: NDArray[np.int64]
-    p: NDArray[np.bool_]
-    points: NDArray[np.float32]
-    ring: NDArray[np.uint16]
-    points_per_frame: NDArray[np.int64]
-
-    @classmethod
-    def read(cls, path: Path) -> Recorded:
-        """Read what :func:`write_part` has written."""
-        with np.load(path) as file:
-            return cls(**{name: file[name] for name in cls.__dataclass_fields__})
-
-
-def record(settings: SimulationSettings, piece: Piece) -> Recorded:
-    """Simulate the frames of a piece.
+def record(settings: SimulationSettings, piece: Piece) -> dict[str, NDArray[Any]]:
+    """Simulate the frames of a piece, with ``settings.events``, one after the other.
 
     The vehicle drives through the window at constant speed and turn rates; when the window ends,
     it is at the frame's pose and the LiDAR takes its sweep.
 
-    Args:
-        settings: the simulation's settings; must have ``events``.
-        piece: which frames.
+    Returns:
+        Of the events x, y (uint16, pixels of the sensor), t (int64 microseconds since midnight UTC)
+        and p (bool, whether the pixel became brighter), each (n,); of all sweeps points (m, 4)
+        float32 x, y, z in metres and reflectance in 0..1, ring (m,) uint16 beams, counted from the
+        lowest, and points_per_frame (frames,) int64.
     """
     rig = draw_rig(settings, piece.rig)
     street, scene = build_scene(settings, piece)
@@ -133,10 +107,8 @@ def record(settings: SimulationSettings, piece: Piece) -> Recorded:
     rays = optics.rays(size, settings.camera.supersampling)
     meter = LuminanceMeter(scene, settings.camera, rays)
     pixels = generator(settings.seed, Stream.EVENT_PIXELS, piece.rig)
-    camera, lidar = (
-        EventCamera(events, size, pixels),
-        Lidar(settings.lidar, rig.elevations, rig.range_bias),
-    )
+    camera = EventCamera(events, size, pixels)
+    lidar = Lidar(settings.lidar, rig.elevations, rig.range_bias)
     T_vehicle_cam = rig.T_vehicle_lidar @ inverse(rig.T_cam_lidar)
     ends = sweep_times(settings, piece.drive)
     seen: list[SensorEvents] = []
@@ -147,59 +119,21 @@ def record(settings: SimulationSettings, piece: Piece) -> Recorded:
         rates = turn_rates(events, generator(settings.seed, Stream.MOTION, *key))
         end = int(ends[frame])
         times = np.linspace(end - window_us(settings), end, events.subframes + 1).astype(np.int64)
-        light = np.stack(
-            [
-                meter.measure(
-                    pose_around(settings, T_world_vehicle, rates, 1e-6 * float(time - end))
-                    @ T_vehicle_cam
-                )
-                for time in times
-            ]
-        )
+        moments = (1e-6 * float(time - end) for time in times)
+        poses = (pose_around(settings, T_world_vehicle, rates, moment) for moment in moments)
+        light = np.stack([meter.measure(pose @ T_vehicle_cam) for pose in poses])
         seen.append(camera.watch(light, times, generator(settings.seed, Stream.EVENTS, *key)))
         lidar_rng = generator(settings.seed, Stream.LIDAR, *key)
         T_world_lidar = T_world_vehicle @ rig.T_vehicle_lidar
-        sweeps.append(
-            lidar.sweep_with_rings(
-                scene,
-                T_world_lidar @ lidar_motion(settings, *key),
-                lidar_rng,
-                velocity=settings.vehicle.speed_mps * T_world_lidar[:3, 0],
-            )
-        )
-    return Recorded(
-        x=np.concatenate([part.x for part in seen]),
-        y=np.concatenate([part.y for part in seen]),
-        t=np.concatenate([part.t for part in seen]),
-        p=np.concatenate([part.p for part in seen]),
-        points=np.concatenate([points for points, _ in sweeps]),
-        ring=np.concatenate([ring for _, ring in sweeps]),
-        points_per_frame=np.array([len(points) for points, _ in sweeps], np.int64),
-    )
-
-
-def write_part(settings: SimulationSettings, piece: Piece, path: Path) -> int:
-    """Simulate the frames of a piece into one file, to be put together with the others.
-
-    Args:
-        settings: the simulation's settings; must have ``events``.
-        piece: which frames.
-        path: the ``.npz`` file; its folder must exist.
-
-    Returns:
-        Bytes written.
-
-    Raises:
-        RecordingError: the file could not be written.
-    """
-    recorded = record(settings, piece)
-    try:
-        np.savez(path, **{name: getattr(recorded, name) for name in recorded.__dataclass_fields__})
-    except OSError as error:
-        raise RecordingError(
-            disk_trouble(error) or f"{path} could not be written ({error})"
-        ) from error
-    return path.stat().st_size
+        velocity = settings.vehicle.speed_mps * T_world_lidar[:3, 0]
+        moved = T_world_lidar @ lidar_motion(settings, *key)
+        sweeps.append(lidar.sweep_with_rings(scene, moved, lidar_rng, velocity))
+    return {
+        **{name: np.concatenate([getattr(part, name) for part in seen]) for name in "xytp"},
+        "points": np.concatenate([points for points, _ in sweeps]),
+        "ring": np.concatenate([ring for _, ring in sweeps]),
+        "points_per_frame": np.array([len(points) for points, _ in sweeps], np.int64),
+    }
 
 
 def recording_drive(rig: int) -> str:
@@ -236,8 +170,15 @@ class DsecLayout:
         (partial / PARTS).mkdir(parents=True)
 
     def write(self, piece: Piece, partial: Path) -> None:
-        """Simulate a piece's frames into a part."""
-        write_part(self.settings, piece, _part(partial, piece.drive, piece.first))
+        """Simulate a piece's frames into a part, to be put together with the others."""
+        path = _part(partial, piece.drive, piece.first)
+        recorded = record(self.settings, piece)
+        try:
+            np.savez(path, **recorded)
+        except OSError as error:
+            raise RecordingError(
+                disk_trouble(error) or f"{path} could not be written ({error})"
+            ) from error
 
     def finish(self, rig: int, partial: Path) -> None:
         """Write the calibration, the events of every sequence, and the LiDAR bag of all."""
@@ -299,32 +240,30 @@ class DsecLayout:
         begin, end = ends[0] - window_us(self.settings) - LEAD_US, ends[-1] + LEAD_US
         parts = [part for _, part in self._parts(partial, sequence)]
         # One event of pixel (0, 0) at either end: the span of a sequence is known by its events.
-        x, y, p = (
-            np.pad(np.concatenate([getattr(part, name) for part in parts]), 1) for name in "xyp"
-        )
-        t = np.concatenate([[begin], *(part.t for part in parts), [end]])
+        x, y, p = (np.pad(np.concatenate([part[name] for part in parts]), 1) for name in "xyp")
+        t = np.concatenate([[begin], *(part["t"] for part in parts), [end]])
         write_events(path, x, y, t - begin, p, int(begin))
 
     def _scans(self, rig: int, partial: Path) -> Iterator[LidarScan]:
         for sequence in range(self.settings.drives_per_rig):
             times = sweep_times(self.settings, sequence) + midnight_us(rig)
             for first, part in self._parts(partial, sequence):
-                ends = np.cumsum(part.points_per_frame)[:-1]
-                sweeps = zip(np.split(part.points, ends), np.split(part.ring, ends), strict=True)
+                ends = np.cumsum(part["points_per_frame"])[:-1]
+                sweeps = zip(*(np.split(part[k], ends) for k in ("points", "ring")), strict=True)
                 for time, (points, ring) in zip(times[first:], sweeps, strict=False):
                     points[:, 3] *= FULL_INTENSITY
                     # The simulated sweep is taken at one moment.
-                    yield LidarScan(
-                        int(time) * 1000, points, ring, np.zeros(len(points), np.float32)
-                    )
+                    moments = np.zeros(len(points), np.float32)
+                    yield LidarScan(int(time) * 1000, points, ring, moments)
 
-    def _parts(self, partial: Path, sequence: int) -> Iterator[tuple[int, Recorded]]:
+    def _parts(self, partial: Path, sequence: int) -> Iterator[tuple[int, dict[str, NDArray[Any]]]]:
         """The parts of a sequence with their first frames, in order."""
         first = 0
         while first < self.settings.frames_per_drive:
-            part = Recorded.read(_part(partial, sequence, first))
+            with np.load(_part(partial, sequence, first)) as file:
+                part = dict(file)
             yield first, part
-            first += len(part.points_per_frame)
+            first += len(part["points_per_frame"])
 
 
 def _part(partial: Path, sequence: int, first: int) -> Path:

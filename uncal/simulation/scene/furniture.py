@@ -1,4 +1,4 @@
-"""What stands on the pavements: poles, trees, people, clutter."""
+"""What stands on the pavements (poles, trees, people, clutter), and the cars."""
 
 from __future__ import annotations
 

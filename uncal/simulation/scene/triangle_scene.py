@@ -1,4 +1,4 @@
-"""Triangles in an Embree scene: which one a ray meets, and whether the sun shines there."""
+"""Triangles in an Embree scene, which one a ray meets, and the light of sun, sky and clouds."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The event camera: what its pixels report while the light on them changes.
+"""The event camera: the light on its pixels, and what they report while it changes.
 
 A pixel remembers the logarithm of the light at its last event and reports an event each time the
 logarithm has changed by its threshold since; the model of Rebecq et al., "ESIM: an Open Event
@@ -34,11 +34,8 @@ class LuminanceMeter:
     def __init__(self, scene: Scene, settings: CameraSettings, rays: Array) -> None:
         """Work out what all pictures of the scene share.
 
-        Args:
-            scene: the street.
-            settings: supersampling n, shadows, haze.
-            rays: (H·n, W·n, 3) float32 directions in the camera frame, z = 1; close to linear in
-                row and column.
+        ``rays``: (H·n, W·n, 3) float32 directions in the camera frame, z = 1; close to linear in
+        row and column, at supersampling n.
         """
         self._scene, self._settings, self._rays = scene, settings, rays
         centre = rays.shape[0] // 2
@@ -196,28 +193,22 @@ class EventCamera:
         self, settings: EventSettings, size: tuple[int, int], rng: np.random.Generator
     ) -> None:
         """Draw the pixels of a sensor of (H, W)."""
-        self.settings = settings
-        self.size = size
+        self.settings, self.size = settings, size
         spread = np.exp(settings.threshold_mismatch * rng.standard_normal((2, *size)))
         self.on: Image = settings.threshold_on * spread[0]
         self.off: Image = settings.threshold_off * spread[1]
 
     def watch(
         self,
-        luminance: NDArray[np.float32],
-        times: NDArray[np.int64],
-        rng: np.random.Generator,
+        luminance: NDArray[np.float32],  # (K + 1, H, W) linear light in any unit
+        times: NDArray[np.int64],  # (K + 1,) of these images, microseconds
+        rng: np.random.Generator,  # draws the pixels' past and the noise
     ) -> SensorEvents:
         """Report what changes, and noise.
 
         The pixels have watched before: each stands somewhere between its two thresholds, every
         place as likely as another, so that a change smaller than a threshold is reported with a
         probability that is proportional to it.
-
-        Args:
-            luminance: (K + 1, H, W) linear light in any unit.
-            times: (K + 1,) of these images, microseconds.
-            rng: draws the pixels' past and the noise.
         """
         settings = self.settings
         dark = np.float32(settings.dark * luminance[-1].mean(dtype=np.float64))

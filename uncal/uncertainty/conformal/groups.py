@@ -1,4 +1,8 @@
-"""Scores that remember which drive or rig they come from."""
+"""Interval methods whose scores remember which drive or rig they come from.
+
+Arguments and errors are those of :class:`uncal.uncertainty.IntervalCalibrator`
+where nothing else is said.
+"""
 
 from __future__ import annotations
 
@@ -39,15 +43,7 @@ def decode_labels(content: Tensor) -> tuple[str, ...]:
 
 
 class GroupedCalibrator(ConformalCalibrator):
-    """Normalised scores |ŷ - y|/σ with the group of each; what a method does with them is open.
-
-    Args:
-        names: the outputs' names in messages.
-        sigma_floor: smallest σ to divide by, in the network's own units.
-
-    Raises:
-        ConfigurationError: a negative or non-finite floor.
-    """
+    """Normalised scores |ŷ - y|/σ with the group of each; what a method does with them is open."""
 
     needs_groups: ClassVar[bool] = True
 
@@ -61,7 +57,6 @@ class GroupedCalibrator(ConformalCalibrator):
     """(m,) int64, the same for the joint scores."""
 
     def __init__(self, names: Sequence[str] | None = None, sigma_floor: float = 0.0) -> None:
-        """Make an unfitted calibrator."""
         super().__init__(names, sigma_floor)
         self.register_buffer("labels", torch.empty(0, dtype=torch.uint8))
         self.register_buffer("group_sizes", torch.empty(0, dtype=torch.int64))
@@ -109,13 +104,6 @@ class MondrianCalibrator(GroupedCalibrator):
     guarantee nothing here: large easy groups set it, and small hard ones miss it. Where even the
     shared category is too small the interval is infinite; for a rig never seen,
     :class:`HierarchicalCalibrator` is the tool. Either is said once per fit, level and group.
-
-    Args:
-        names: the outputs' names in messages.
-        sigma_floor: smallest σ to divide by, in the network's own units.
-
-    Raises:
-        ConfigurationError: a negative or non-finite floor.
 
     >>> target = torch.cat([torch.arange(1.0, 10.0), 10 * torch.arange(1.0, 10.0)])[:, None]
     >>> zeros, ones = torch.zeros(18, 1), torch.ones(18, 1)
@@ -191,7 +179,7 @@ class HierarchicalCalibrator(GroupedCalibrator):
 
     Args:
         names: the outputs' names in messages.
-        sigma_floor: smallest σ to divide by, in the network's own units.
+        sigma_floor: smallest σ to divide by.
         method: "weighted" or "subsampling". A loaded state brings its own.
         repeats: B of the subsampling.
         seed: of the draws, which look at no score.
@@ -219,7 +207,6 @@ class HierarchicalCalibrator(GroupedCalibrator):
         repeats: int = 1,
         seed: int = 0,
     ) -> None:
-        """Make an unfitted calibrator."""
         super().__init__(names, sigma_floor)
         if method not in ("weighted", "subsampling"):
             raise ConfigurationError(f'method = "{method}"; choose "weighted" or "subsampling".')

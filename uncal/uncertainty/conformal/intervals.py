@@ -12,7 +12,7 @@ from uncal.errors import UncertaintyError
 
 
 class InputChecks:
-    """Refuses predictions that allow no valid interval, in words that name the outputs.
+    """Refuses, with an UncertaintyError that names the outputs, what allows no valid interval.
 
     Args:
         names: the outputs' names; None numbers them.
@@ -20,16 +20,11 @@ class InputChecks:
     """
 
     def __init__(self, names: Sequence[str] | None, asker: str) -> None:
-        """Keep the names."""
         self.names = None if names is None else tuple(names)
         self.asker = asker
 
     def sizes(self, mean: Tensor, std: Tensor, target: Tensor, n_scales: int) -> None:
-        """Refuse anything but three (m, D) with m ≥ 1, one name and one scale per output.
-
-        Raises:
-            UncertaintyError: as said.
-        """
+        """Refuse anything but three (m, D) with m ≥ 1, one name and one scale per output."""
         if mean.ndim != 2 or len(mean) == 0 or not mean.shape == std.shape == target.shape:
             raise UncertaintyError(
                 f"mean {tuple(mean.shape)}, std {tuple(std.shape)}, target {tuple(target.shape)}: "
@@ -46,11 +41,7 @@ class InputChecks:
             )
 
     def finite(self, label: str, values: Tensor) -> None:
-        """Refuse (..., D) values that are NaN or infinite.
-
-        Raises:
-            UncertaintyError: as said, with how many of each output.
-        """
+        """Refuse (..., D) values that are NaN or infinite, with how many of each output."""
         bad = ~values.isfinite()
         if bad.any():
             raise UncertaintyError(
@@ -60,11 +51,7 @@ class InputChecks:
             )
 
     def spread(self, std: Tensor) -> None:
-        """Refuse outputs whose (m, D) σ is 0 in all samples.
-
-        Raises:
-            UncertaintyError: as said.
-        """
+        """Refuse outputs whose (m, D) σ is 0 in all samples."""
         silent = (std == 0).all(0)
         if silent.any():
             names = zip(self._output_names(len(silent)), silent.tolist(), strict=True)
@@ -75,11 +62,7 @@ class InputChecks:
             )
 
     def floored(self, std: Tensor, floor: float) -> Tensor:
-        """(..., D) max(σ, floor), refusing σ that is negative, or 0 where there is no floor.
-
-        Raises:
-            UncertaintyError: as said.
-        """
+        """(..., D) max(σ, floor), refusing σ that is negative, or 0 where there is no floor."""
         bad = std <= 0 if floor == 0 else std < 0
         if bad.any():
             raise UncertaintyError(
@@ -92,11 +75,7 @@ class InputChecks:
     def bounds(
         self, bounds: tuple[Tensor, Tensor] | None, shape: torch.Size
     ) -> tuple[Tensor, Tensor]:
-        """The network's lower and upper quantile outputs, in float32 or better.
-
-        Raises:
-            UncertaintyError: none, another shape than that of the mean, or not finite.
-        """
+        """The lower and upper quantile outputs in float32 or better, if of the mean's shape."""
         if bounds is None or not bounds[0].shape == bounds[1].shape == shape:
             got = "none" if bounds is None else " and ".join(str(tuple(b.shape)) for b in bounds)
             raise UncertaintyError(
@@ -108,11 +87,7 @@ class InputChecks:
         return at_least_float32(bounds[0]), at_least_float32(bounds[1])
 
     def groups(self, groups: Sequence[str] | None, rows: int | None = None) -> Sequence[str]:
-        """The labels, one per row if the number of rows is given.
-
-        Raises:
-            UncertaintyError: none, one string instead of a sequence, or another number.
-        """
+        """The labels, one per row if the number of rows is given."""
         if groups is None or isinstance(groups, str):
             raise UncertaintyError(
                 f"{self.asker} needs groups=, one label per row such as its drive or rig; "
@@ -186,11 +161,7 @@ class Anchors:
         return (self.lower - target).maximum(target - self.upper) / self.unit
 
     def widened(self, quantile: Tensor) -> tuple[Tensor, Tensor]:
-        """Lower and upper bounds at q; where a negative q would cross them, their midpoint.
-
-        Args:
-            quantile: q, broadcast to (..., D).
-        """
+        """Bounds at q, broadcast to (..., D); where a negative q would cross them, the midpoint."""
         half = quantile * self.unit
         lower, upper = self.lower - half, self.upper + half
         crossed = lower > upper

@@ -1,4 +1,4 @@
-"""The conformal quantile by exact ranks (eq. 4)."""
+"""The conformal quantile by exact ranks (eq. 4), and the coverage that follows from them."""
 
 from __future__ import annotations
 
@@ -105,12 +105,7 @@ def warn_too_few(
 ) -> None:
     """Say that m samples allow no finite interval at this level, and how many are missing.
 
-    Args:
-        m: samples at hand.
-        alpha: miscoverage level α of the interval.
-        stacklevel: as of :func:`warnings.warn`.
-        what: what is counted, in words.
-        needed: how many it takes; None for :func:`samples_needed`.
+    ``what`` is counted; ``needed``: how many it takes, None for :func:`samples_needed`.
     """
     needed = samples_needed(alpha) if needed is None else needed
     level = 100 * (1 - Fraction(str(alpha)))
@@ -162,19 +157,14 @@ def coverage_band(
 ) -> tuple[float, float]:
     """Equal-tailed band of the coverage that one test set shows with the given probability.
 
-    Each tail beyond the band has at most probability (1 - confidence)/2.
-
-    Args:
-        n: test samples.
-        m: samples in the uncertainty calibration set.
-        alpha: miscoverage level α in (0, 1).
-        confidence: probability of the band, in (0, 1).
+    Each tail beyond the band has at most probability (1 - confidence)/2; the other arguments and
+    errors are those of :func:`coverage_law`.
 
     Returns:
         Lowest and highest covered fraction inside the band, both included.
 
     Raises:
-        ValueError: n or m below 1, or α or confidence outside (0, 1).
+        ValueError: confidence outside (0, 1).
 
     >>> coverage_band(n=1000, m=1000, alpha=0.1, confidence=0.998)
     (0.855, 0.938)

@@ -1,4 +1,8 @@
-"""Split conformal calibration of MC-dropout intervals, per degree of freedom (eqs. 3-5)."""
+"""The interval methods that know no groups: split conformal (eqs. 3-5), its relatives, plain σ.
+
+Arguments and errors are those of :class:`uncal.uncertainty.IntervalCalibrator`
+as far as a method takes them.
+"""
 
 from __future__ import annotations
 
@@ -12,22 +16,7 @@ import torch
 from torch import Tensor
 
 from uncal.uncertainty.conformal.calibrator import IntervalCalibrator
-from uncal.uncertainty.conformal.intervals import Anchors, Intervals
-from uncal.uncertainty.conformal.quantile import (
-    conformal_quantile,
-    conformal_rank,
-    miscoverage,
-    samples_needed,
-)
-
-__all__ = [
-    "ConformalCalibrator",
-    "Intervals",
-    "conformal_quantile",
-    "conformal_rank",
-    "miscoverage",
-    "samples_needed",
-]
+from uncal.uncertainty.conformal.intervals import Anchors
 
 
 class ConformalCalibrator(IntervalCalibrator):
@@ -39,14 +28,6 @@ class ConformalCalibrator(IntervalCalibrator):
     exchangeable with its frames; that of :meth:`predict_joint`, with the score max_j s_j, is for
     the box as a whole.
 
-    Args:
-        names: the outputs' names in messages.
-        sigma_floor: smallest σ to divide by, in the network's own units.
-
-    Raises:
-        ConfigurationError: a negative or non-finite floor.
-
-    >>> import torch
     >>> target = torch.arange(1.0, 101.0)[:, None]
     >>> calibrator = ConformalCalibrator()
     >>> _ = calibrator.fit(torch.zeros(100, 1), torch.ones(100, 1), target)
@@ -58,27 +39,29 @@ class ConformalCalibrator(IntervalCalibrator):
     kind: ClassVar[str] = "conformal"
 
     def __init__(self, names: Sequence[str] | None = None, sigma_floor: float = 0.0) -> None:
-        """Make an unfitted calibrator."""
         super().__init__(names, sigma_floor)
 
     def _anchors(self, mean: Tensor, std: Tensor, bounds: tuple[Tensor, Tensor] | None) -> Anchors:
         return Anchors(mean, mean, std)
 
 
-class AbsoluteCalibrator(IntervalCalibrator):
+class _WithoutStd(IntervalCalibrator):
+    """Scores that look at no σ, so that the joint score needs scales: metres beside radians."""
+
+    needs_std: ClassVar[bool] = False
+
+    def __init__(
+        self, names: Sequence[str] | None = None, scales: Sequence[float] | None = None
+    ) -> None:
+        super().__init__(names, scales=scales)
+
+
+class AbsoluteCalibrator(_WithoutStd):
     """Intervals [ŷ - Q, ŷ + Q] that hold each output with probability at least 1-α.
 
     s = |ŷ - y|, Q = s_(⌈(m+1)(1-α)⌉): what conformal prediction gives without any σ, and so the
     measure of what σ adds. The box of :meth:`predict_joint` has the score max_j |r_j| / scale_j
-    and half widths Q·scale_j: metres and radians need scales to be compared.
-
-    Args:
-        names: the outputs' names in messages.
-        scales: (D,) such as the largest decalibration per output, in its units. Constants, since
-            scales learned from the scores' own frames would cost the guarantee. None for ones.
-
-    Raises:
-        ConfigurationError: scales that are not positive and finite.
+    and half widths Q·scale_j.
 
     >>> target = torch.arange(1.0, 10.0)[:, None] * torch.tensor([0.1, 1.0])
     >>> zeros = torch.zeros(9, 2)
@@ -90,19 +73,12 @@ class AbsoluteCalibrator(IntervalCalibrator):
     """
 
     kind: ClassVar[str] = "absolute"
-    needs_std: ClassVar[bool] = False
-
-    def __init__(
-        self, names: Sequence[str] | None = None, scales: Sequence[float] | None = None
-    ) -> None:
-        """Make an unfitted calibrator."""
-        super().__init__(names, scales=scales)
 
     def _anchors(self, mean: Tensor, std: Tensor, bounds: tuple[Tensor, Tensor] | None) -> Anchors:
         return Anchors(mean, mean, torch.ones_like(mean))
 
 
-class QuantileCalibrator(IntervalCalibrator):
+class QuantileCalibrator(_WithoutStd):
     """Intervals [l - Q, u + Q] around the quantile outputs l, u of the network.
 
     s = max(l - y, y - u), Q = s_(⌈(m+1)(1-α)⌉)   (Romano, Patterson, Candès 2019, eqs. 6-8)
@@ -111,14 +87,6 @@ class QuantileCalibrator(IntervalCalibrator):
     negative where they are too wide. Where l - Q > u + Q the set of targets with a score up to Q
     is empty, and the answer is the one point (l + u)/2: more than the empty set, so the guarantee
     stays. The box of :meth:`predict_joint` has the score max_j s_j / scale_j.
-
-    Args:
-        names: the outputs' names in messages.
-        scales: (D,) such as the largest decalibration per output, in its units; constants. None
-            for ones.
-
-    Raises:
-        ConfigurationError: scales that are not positive and finite.
 
     >>> zeros, target = torch.zeros(9, 1), torch.arange(1.0, 10.0)[:, None]
     >>> calibrator = QuantileCalibrator()
@@ -131,14 +99,7 @@ class QuantileCalibrator(IntervalCalibrator):
     """
 
     kind: ClassVar[str] = "quantile"
-    needs_std: ClassVar[bool] = False
     needs_bounds: ClassVar[bool] = True
-
-    def __init__(
-        self, names: Sequence[str] | None = None, scales: Sequence[float] | None = None
-    ) -> None:
-        """Make an unfitted calibrator."""
-        super().__init__(names, scales=scales)
 
     def _anchors(self, mean: Tensor, std: Tensor, bounds: tuple[Tensor, Tensor] | None) -> Anchors:
         lower, upper = self._check.bounds(bounds, mean.shape)
@@ -156,14 +117,6 @@ class GaussianIntervals(IntervalCalibrator):
 
     The fit learns no scores; it notes the predictor, the number of samples and of outputs.
 
-    Args:
-        names: the outputs' names in messages.
-        sigma_floor: smallest σ to use, in the network's own units.
-
-    Raises:
-        ConfigurationError: a negative or non-finite floor.
-
-    >>> import torch
     >>> zeros, ones = torch.zeros(5, 2), torch.ones(5, 2)
     >>> intervals = GaussianIntervals().fit(zeros, ones, zeros)
     >>> intervals.predict(zeros[0], ones[0], level=0.9).upper
@@ -176,7 +129,6 @@ class GaussianIntervals(IntervalCalibrator):
     guaranteed: ClassVar[bool] = False
 
     def __init__(self, names: Sequence[str] | None = None, sigma_floor: float = 0.0) -> None:
-        """Make an instance that knows no predictor yet."""
         super().__init__(names, sigma_floor)
 
     def _anchors(self, mean: Tensor, std: Tensor, bounds: tuple[Tensor, Tensor] | None) -> Anchors:

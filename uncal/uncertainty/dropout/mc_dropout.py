@@ -17,8 +17,6 @@ from uncal.uncertainty.dropout.prediction import Prediction
 from uncal.uncertainty.dropout.replicated import iterate_tensors
 from uncal.uncertainty.dropout.stochastic_layers import StochasticLayers
 
-__all__ = ["MCDropout", "Prediction"]
-
 STRATEGIES = ("auto", "shared", "batch", "loop")
 
 log = logging.getLogger(__name__)
@@ -74,7 +72,6 @@ class MCDropout:
         select: Sequence[str] | None = None,
         keep_samples: bool = False,
     ) -> None:
-        """Check the settings; the network is looked at when called."""
         if passes < 2:
             raise ConfigurationError(
                 f"{passes} stochastic passes give no spread; set at least 2 (the paper: 25)."
@@ -97,11 +94,7 @@ class MCDropout:
         self._chosen: dict[tuple[object, ...], tuple[str, int]] = {}
 
     def identity(self, passes: int | None = None) -> PredictorIdentity:
-        """What a calibrator remembers of this predictor, and compares before use.
-
-        Args:
-            passes: of :meth:`Prediction.first`; None: all.
-        """
+        """What a calibrator remembers of this predictor (or its first passes) and compares."""
         return PredictorIdentity.of(
             self.network,
             passes or self.passes,
@@ -161,11 +154,7 @@ class MCDropout:
     def sampler(
         self, *args: object, seed: int | Sequence[int] | None = None, **kwargs: object
     ) -> Callable[[], Tensor]:
-        """The passes alone, to be run again and again on the same tensors (as a CUDA graph, say).
-
-        Returns:
-            A function that gives the (N, B, D) passes.
-        """
+        """What gives the (N, B, D) passes of the same tensors again and again (as a CUDA graph)."""
         return self._sampler(Arguments.of(args, kwargs), seed, 0)
 
     def _sampler(
@@ -265,9 +254,6 @@ class SinglePass(MCDropout):
 
     For intervals that need no σ: from absolute errors, or from a quantile head.
 
-    Args:
-        network: maps arguments to a tensor (B, D).
-
     >>> network = nn.Sequential(nn.Linear(3, 8), nn.Dropout(0.5), nn.Linear(8, 2))
     >>> prediction = SinglePass(network)(torch.ones(4, 3))
     >>> prediction.passes, bool((prediction.std == 0).all())
@@ -285,11 +271,7 @@ class SinglePass(MCDropout):
     def __call__(
         self, *args: object, seed: int | Sequence[int] | None = None, **kwargs: object
     ) -> Prediction:
-        """Run the pass.
-
-        Returns:
-            The output as mean, and σ = 0.
-        """
+        """The output of the pass as mean, and σ = 0."""
         with torch.inference_mode(), only_active(self.network, []):
             output = next(iterate_tensors(self.network(*args, **kwargs)))
         # A copy outside inference mode can be used with autograd.
