@@ -24,9 +24,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from uncal.events.pixel_map import PixelMap
 from uncal.events.representations import Histogram, TimeSurface, VoxelGrid
-from uncal.events.stream import Events
+from uncal.events.stream import Events, PixelMap
 from uncal.system.memory import keep_freed_memory
 
 SIZE = (480, 640)

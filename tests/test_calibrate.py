@@ -29,9 +29,9 @@ from uncal.recordings.folder_listing import layout_of
 from uncal.recordings.frame import FrameId
 from uncal.recordings.plain_folder import PlainFolder
 from uncal.settings.configuration import CONFIG_DIR
-from uncal.simulation.cache import ensure_simulated
 from uncal.simulation.formats.bag import drive_as_bag
 from uncal.simulation.settings import SimulationSettings
+from uncal.simulation.writer import ensure_simulated
 from uncal.uncertainty import ConformalCalibrator, HierarchicalCalibrator, coverage_band
 from uncal.weights.shipped import save_shipped
 

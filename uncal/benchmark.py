@@ -32,8 +32,7 @@ def main(config: DictConfig) -> None:
     import pandas as pd
     import torch
 
-    from uncal.benchmarking.latency import measure_latency
-    from uncal.benchmarking.synthetic_inputs import synthetic_inputs
+    from uncal.benchmarking.latency import measure_latency, synthetic_inputs
     from uncal.benchmarking.tables import write_latency, write_trade
     from uncal.benchmarking.trade import measure_trade
     from uncal.models.answer import Estimator

@@ -16,15 +16,7 @@ from uncal.settings.help_page import show_help
 
 log = logging.getLogger(__name__)
 
-CALIBRATION: tuple[str, ...] = (
-    "model",
-    "interval",
-    "mcd",
-    "window",
-    "split",
-    "decalibration",
-    "seed",
-)
+CALIBRATION = ("model", "interval", "mcd", "window", "split", "decalibration", "seed")
 """Settings that a calibration belongs to."""
 
 
@@ -77,16 +69,8 @@ def main(config: DictConfig) -> float:
             f"Intervals as calibrated on {recipe.dataset.label} data (refit=false): nothing "
             "guarantees their coverage elsewhere."
         )
-    return weights_to_report(
-        run,
-        module,
-        trainer,
-        data,
-        weights,
-        record,
-        calibrated=calibrated,
-        checkpoint=CHECKPOINT,
-    )
+    parts = (run, module, trainer, data, weights, record)
+    return weights_to_report(*parts, calibrated=calibrated, checkpoint=CHECKPOINT)
 
 
 def chosen_weights(weights: str | None, ckpt: str | None) -> Path:

@@ -23,8 +23,8 @@ def main(config: DictConfig) -> None:
     """Simulate, or find what an earlier run simulated, and say what is where."""
     # Here and not above: they take time, which --help has no use for.
     from uncal.settings.check import check_settings
-    from uncal.simulation.cache import ensure_simulated
     from uncal.simulation.settings import SimulationSettings
+    from uncal.simulation.writer import ensure_simulated
 
     check_settings(config)
     plain = OmegaConf.to_container(config.simulation, resolve=True)

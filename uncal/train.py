@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import hydra
 from omegaconf import DictConfig
 
-from uncal.errors import ConfigurationError, UncalError
+from uncal.errors import ConfigurationError, DivergenceError, UncalError
 from uncal.settings.command_line import quote_arguments
 from uncal.settings.configuration import CONFIG_DIR, exits_on_error, job_folder, quiet_libraries
 from uncal.settings.help_page import show_help
@@ -43,8 +43,7 @@ def main(config: DictConfig) -> float:
     from uncal.settings.check import check_settings
     from uncal.system.memory import keep_freed_memory
     from uncal.weights.ingredients import data_ingredients, training_ingredients
-    from uncal.weights.kept import stays_trained
-    from uncal.weights.load_or_train import Weights, load_or_train
+    from uncal.weights.load_or_train import Weights, load_or_train, stays_trained
     from uncal.weights.shipped import find_weights
     from uncal.weights.store import WeightStore
 
@@ -86,16 +85,10 @@ def main(config: DictConfig) -> float:
             retrain=config.retrain,
         )
     with stays_trained(weights.path):
+        calibrated = weights.learnt and read_recipe(weights.path) == module.recipe
+        parts = (config, module, trainer, data, weights, record)
         return weights_to_report(
-            config,
-            module,
-            trainer,
-            data,
-            weights,
-            record,
-            calibrated=weights.learnt and read_recipe(weights.path) == module.recipe,
-            checkpoint=weights.path.name,
-            shared=shared,
+            *parts, calibrated=calibrated, checkpoint=weights.path.name, shared=shared
         )
 
 
@@ -134,10 +127,10 @@ def fit(
     import torch
 
     from uncal.callbacks.divergence import diverged
-    from uncal.errors import DivergenceError
     from uncal.runs.checkpoint import save_weights
-    from uncal.weights.kept import how_to_finish
+    from uncal.weights.load_or_train import how_to_finish
 
+    kept = job_folder() / "checkpoints" / "stopped.ckpt"
     try:
         trainer.fit(module, datamodule=data, ckpt_path=start)
     except DivergenceError:
@@ -148,7 +141,6 @@ def fit(
     except UncalError as error:
         if trainer.global_step == 0 or not trainer.is_global_zero:
             raise
-        kept = job_folder() / "checkpoints" / "stopped.ckpt"
         save_weights(module, kept)
         raise UncalError(f"{error}\n{how_to_finish(kept)}") from error
     except SystemExit as stop:  # how Lightning passes Ctrl-C on
@@ -160,7 +152,6 @@ def fit(
         return Path(str(path))
     if trainer.global_step == 0:
         raise UncalError("not one step of training: none of its frames can be read")
-    kept = job_folder() / "checkpoints" / "stopped.ckpt"
     if trainer.is_global_zero:
         save_weights(module, kept)
     raise UncalError(
@@ -190,13 +181,8 @@ def fit_or_resume(
                 # Elsewhere Lightning would forget which checkpoint was best so far.
                 callback.dirpath = str(start.parent)
     last = last_checkpoint(trainer)
-    return fit(
-        trainer,
-        module,
-        data,
-        start,
-        f"the same command, which finds {last} (retrain=true would start anew)",
-    )
+    continuation = f"the same command, which finds {last} (retrain=true would start anew)"
+    return fit(trainer, module, data, start, continuation)
 
 
 if __name__ == "__main__":

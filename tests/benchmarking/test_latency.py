@@ -10,8 +10,7 @@ from torch import Tensor, nn
 from transformers import MobileViTConfig
 from transformers.models.mobilevit.modeling_mobilevit import MobileViTLayer
 
-from uncal.benchmarking.latency import DETERMINISTIC, measure_latency
-from uncal.benchmarking.placement import placements
+from uncal.benchmarking.latency import DETERMINISTIC, measure_latency, placements
 from uncal.benchmarking.tables import write_latency, write_trade
 
 

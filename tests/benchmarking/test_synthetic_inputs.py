@@ -4,7 +4,7 @@ import pytest
 import torch
 from hydra import compose, initialize_config_dir
 
-from uncal.benchmarking.synthetic_inputs import synthetic_inputs
+from uncal.benchmarking.latency import synthetic_inputs
 from uncal.models.answer import Estimator
 from uncal.runs.assembly import build_module
 from uncal.settings.configuration import CONFIG_DIR

@@ -7,8 +7,8 @@ import pytest
 from omegaconf import OmegaConf
 
 from uncal.settings.configuration import CONFIG_DIR
-from uncal.simulation.cache import ensure_simulated
 from uncal.simulation.settings import SimulationSettings
+from uncal.simulation.writer import ensure_simulated
 
 SMALL = {
     "seed": 3,

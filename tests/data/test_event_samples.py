@@ -8,9 +8,8 @@ from torch import Tensor
 
 from uncal.data.dataset import FrameDataset, Sample, SkippedFrame, collate
 from uncal.data.image_size import fit, resize_and_crop
-from uncal.events.pixel_map import PixelMap
 from uncal.events.representations import EventRepresentation, Histogram, VoxelGrid
-from uncal.events.stream import Events
+from uncal.events.stream import Events, PixelMap
 from uncal.geometry.decalibration import DecalibrationRange
 from uncal.recordings.frame import Frame, FrameId
 from uncal.splits.windows import units_of

@@ -10,9 +10,8 @@ from torch import Tensor
 
 from uncal.errors import ConfigurationError
 from uncal.events import grid
-from uncal.events.pixel_map import PixelMap
 from uncal.events.representations import EventRepresentation, Histogram, TimeSurface, VoxelGrid
-from uncal.events.stream import Events
+from uncal.events.stream import Events, PixelMap
 
 Row = tuple[float, float, int, int]
 """x, y, t, p."""

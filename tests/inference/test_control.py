@@ -27,7 +27,7 @@ from uncal.events.representations import Histogram
 from uncal.events.stream import Events
 from uncal.geometry import DOF_NAMES
 from uncal.geometry.decalibration import DecalibrationRange
-from uncal.inference.control import control_order, image_blind_control
+from uncal.inference.split_passes import control_order, image_blind_control
 from uncal.models.estimator import PoseEstimator
 from uncal.models.module import CalibrationModule
 from uncal.models.split_prediction import ControlPrediction

@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from uncal.metrics.calibration_curve import calibration_error
+from uncal.metrics.functional import calibration_error
 
 LEVELS = [0.25, 0.5, 0.75]
 

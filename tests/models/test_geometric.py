@@ -3,9 +3,13 @@ from torch import Tensor
 
 from uncal.geometry import invert, pose_to_matrix, transform_points
 from uncal.geometry.decalibration import DecalibrationRange, decalibrate
-from uncal.geometry.displacement import displacement_jacobian, true_displacement
-from uncal.geometry.projection import pixel_coordinates, project
-from uncal.models.geometric import (
+from uncal.geometry.projection import (
+    displacement_jacobian,
+    pixel_coordinates,
+    project,
+    true_displacement,
+)
+from uncal.models.estimator import (
     GeometricSolver,
     GridPoints,
     PointGeometry,

@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch.optim.lr_scheduler import LambdaLR
 
-from uncal.models.schedule import follow
+from uncal.models.module import follow
 
 
 def started(total: int) -> LambdaLR:

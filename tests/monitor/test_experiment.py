@@ -27,7 +27,7 @@ from uncal.monitor.verdict import Verdict
 from uncal.recordings.frame import Frame, FrameId
 from uncal.recordings.kitti import KittiRaw
 from uncal.settings.configuration import CONFIG_DIR
-from uncal.simulation.cache import ensure_simulated
+from uncal.simulation.writer import ensure_simulated
 from uncal.weights.shipped import find_weights
 
 ONSET, FRAMES = 2, 9

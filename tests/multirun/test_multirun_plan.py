@@ -8,7 +8,7 @@ import pytest
 from hydra import compose, initialize_config_dir
 from omegaconf import DictConfig, open_dict
 
-from uncal.multirun.plan import planned_jobs, share_cores, threads_per_job
+from uncal.multirun.callback import planned_jobs, share_cores, threads_per_job
 from uncal.settings.configuration import CONFIG_DIR
 
 
@@ -32,6 +32,15 @@ def test_every_combination_is_planned_in_order() -> None:
     assert jobs[0] == first
     assert jobs[1] == first | {"seed": "1"}
     assert jobs[-1] == {"interval": "cqr", "mcd.passes": "10", "x": "a", "seed": "1"}
+
+
+def test_what_a_job_resolves_is_planned_as_it_records_it() -> None:
+    """A root named after the swept dataset, for instance, is another one in every job."""
+    config = multirun("dataset.root=data/${dataset.name}", **{"dataset": "demo,demo_one_rig"})
+    jobs = planned_jobs(config)
+    assert jobs is not None
+    assert [job["dataset"] for job in jobs] == ["demo", "demo_one_rig"]
+    assert {job["dataset.root"] for job in jobs} == {r"data/$\{dataset.name\}"}
 
 
 @pytest.mark.parametrize(

@@ -11,8 +11,7 @@ import pandas as pd
 import pytest
 
 from uncal.geometry import DOF_NAMES, DOF_UNITS
-from uncal.multirun.folder import Multirun
-from uncal.multirun.jobs import UNFINISHED, Job, read_jobs, swept_keys
+from uncal.multirun.folder import UNFINISHED, Job, Multirun, read_jobs, swept_keys
 from uncal.multirun.summary import summary_markdown, write_summary
 from uncal.reporting.frames import CONTROL, JOINT, Schema, csv_text, write_csv
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation  # type: ignore[import-untyped]
 
 from uncal.errors import RecordingError
-from uncal.recordings.dsec_calibration import event_camera_calibration
+from uncal.recordings.calibration_files import event_camera_calibration
 
 WriteCalibration = Callable[..., None]
 Matrix = NDArray[np.float64]

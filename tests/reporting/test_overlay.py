@@ -1,8 +1,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from uncal.events.pixel_map import PixelMap
-from uncal.events.stream import Events
+from uncal.events.stream import Events, PixelMap
 from uncal.reporting.overlay import draw_events, draw_points, overlay_panel
 
 K = np.array([[50.0, 0.0, 31.5], [0.0, 50.0, 15.5], [0.0, 0.0, 1.0]])

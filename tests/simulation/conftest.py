@@ -8,8 +8,8 @@ import pytest
 from omegaconf import OmegaConf
 
 from uncal.settings.configuration import CONFIG_DIR
-from uncal.simulation.cache import ensure_simulated
 from uncal.simulation.settings import SimulationSettings
+from uncal.simulation.writer import ensure_simulated
 
 MakeSettings = Callable[..., SimulationSettings]
 

@@ -17,9 +17,9 @@ from omegaconf import OmegaConf
 
 from uncal.errors import RecordingError
 from uncal.simulation import cache
-from uncal.simulation.cache import ensure_simulated
 from uncal.simulation.manifest import DRAFT_NAME, LOCK_NAME, Manifest, read_manifest
 from uncal.simulation.settings import SimulationSettings
+from uncal.simulation.writer import ensure_simulated
 
 MakeSettings = Callable[..., SimulationSettings]
 
@@ -185,7 +185,7 @@ KILLED = """
 import sys
 from pathlib import Path
 from omegaconf import OmegaConf
-from uncal.simulation.cache import ensure_simulated
+from uncal.simulation.writer import ensure_simulated
 from uncal.simulation.settings import SimulationSettings
 if __name__ == "__main__":
     settings = SimulationSettings.from_mapping(OmegaConf.load(sys.argv[1]))

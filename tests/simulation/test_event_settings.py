@@ -11,7 +11,7 @@ from omegaconf import OmegaConf
 
 from uncal.errors import ConfigurationError
 from uncal.settings.configuration import CONFIG_DIR
-from uncal.simulation.formats.layouts import layout_of
+from uncal.simulation.manifest import layout_of
 from uncal.simulation.settings import SimulationSettings
 
 MakeSettings = Callable[..., SimulationSettings]

@@ -6,9 +6,9 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from uncal.simulation.cache import ensure_simulated
 from uncal.simulation.moved import ensure_moved
 from uncal.simulation.settings import MotionSettings, SimulationSettings
+from uncal.simulation.writer import ensure_simulated
 
 
 def contents(root: Path) -> dict[str, bytes]:

@@ -11,8 +11,8 @@ import pytest
 
 from uncal.recordings.dsec import Dsec
 from uncal.recordings.kitti import KittiRaw
-from uncal.simulation.cache import ensure_simulated
 from uncal.simulation.settings import SimulationSettings
+from uncal.simulation.writer import ensure_simulated
 
 SEEN = {"lidar": {"beams": 32, "azimuth_step_deg": 0.4}, "scene": {"view_m": 90.0}}
 

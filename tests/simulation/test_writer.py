@@ -12,11 +12,11 @@ import pytest
 
 from uncal.errors import ConfigurationError, RecordingError
 from uncal.simulation import writer
-from uncal.simulation.cache import ensure_simulated
 from uncal.simulation.formats.kitti_folder import KittiLayout
 from uncal.simulation.scene.trajectory import drive_speed
 from uncal.simulation.sensors.rig import draw_rig
 from uncal.simulation.settings import SimulationSettings
+from uncal.simulation.writer import ensure_simulated
 
 MakeSettings = Callable[..., SimulationSettings]
 

@@ -5,8 +5,7 @@ import pytest
 
 from uncal.errors import ConfigurationError
 from uncal.recordings.frame import FrameId
-from uncal.splits.blocks import blocks, leave_gaps
-from uncal.splits.splits import split_frames
+from uncal.splits.splits import blocks, leave_gaps, split_frames
 
 
 def drive(indices: list[int], name: str = "drive", rig: str = "rig") -> list[FrameId]:

@@ -4,7 +4,7 @@ import pytest
 
 from uncal.errors import ConfigurationError
 from uncal.recordings.frame import FrameId
-from uncal.splits.held_out import cap_training, hold_out_rigs
+from uncal.splits.split_settings import cap_training, hold_out_rigs
 
 
 def recording(n_rigs: int, n_frames: int = 3) -> list[FrameId]:

@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from uncal.errors import ConfigurationError
-from uncal.recordings.dsec_sequences import TEST, TRAIN, drive_of
+from uncal.recordings.dsec_layout import TEST, TRAIN, drive_of
 from uncal.splits.sequence_split import paper_split
 
 

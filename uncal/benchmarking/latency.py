@@ -12,15 +12,82 @@ import pandas as pd
 import torch
 from torch import Tensor, nn
 from torch.utils.flop_counter import FlopCounterMode
+from transformers.models.mobilevit.modeling_mobilevit import MobileViTLayer
 
-from uncal.benchmarking.placement import placements
+from uncal.data.network_input import NetworkInput
+from uncal.edges.sweep import COLUMNS, KIND, KINDS, SIDE
+from uncal.recordings.frame import FrameId
 from uncal.system.progress import progress_bar
+from uncal.uncertainty.dropout.layers import dropout_layers
 from uncal.uncertainty.dropout.masks import FixedMasks
 from uncal.uncertainty.dropout.mc_dropout import MCDropout
 
 log = logging.getLogger(__name__)
 
 DETERMINISTIC = "one deterministic pass"
+
+ORDINALS = ("first", "second", "third", "fourth", "fifth")
+
+
+def synthetic_inputs(
+    size: tuple[int, ...], batch: int, edges: int, device: torch.device
+) -> NetworkInput:
+    """Noise, a tenth of the pixels with a LiDAR point, and edges ahead of the camera.
+
+    Returns:
+        Input of five channels and (H, W) for a batch of B frames, with (B, M, columns) edges.
+    """
+    generator = torch.Generator().manual_seed(0)
+    height, width = size
+    depth = torch.rand(batch, 1, height, width, generator=generator)
+    inverse_depth = torch.where(depth < 0.1, depth, 0.0)
+    image = torch.randn(batch, 3, height, width, generator=generator)
+    x = torch.cat([image, inverse_depth, inverse_depth], 1)
+    x = x.contiguous(memory_format=torch.channels_last)
+    K = torch.tensor([[230.0, 0.0, width / 2], [0.0, 230.0, height / 2], [0.0, 0.0, 1.0]])
+    T = torch.tensor([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
+    sweep = torch.rand(batch, edges, len(COLUMNS), generator=generator)
+    # Within 20° to either side and 10° up or down, 5 to 40 m away.
+    away = 5.0 + 35.0 * sweep[..., :1]
+    aside = (2.0 * sweep[..., 1:3] - 1.0) * sweep.new_tensor([0.36, 0.18])
+    sweep[..., :3] = away * torch.cat([torch.ones_like(away), aside], -1)
+    sweep[..., KIND] = (len(KINDS) * sweep[..., KIND]).floor()
+    sweep[..., SIDE] = sweep[..., SIDE].round() * 2 - 1
+    indices = torch.arange(batch, device=device)
+    return NetworkInput(
+        x=x.to(device),
+        inverse_depth=inverse_depth.to(device),
+        K=K.repeat(batch, 1, 1).to(device),
+        T_init=T.repeat(batch, 1, 1).to(device),
+        target=torch.zeros(batch, 6, device=device),
+        unit_index=indices,
+        frames=[FrameId("made", "up", number) for number in range(batch)],
+        unit=indices,
+        edges=sweep.to(device),
+    )
+
+
+def placements(network: nn.Module) -> dict[str, list[str]]:
+    """Dropout layers from each transformer stage on, and in the head only.
+
+    Returns:
+        A description → names of the layers, for ``MCDropout(select=…)``; the earliest cut first.
+    """
+    names = list(dropout_layers(network))
+    stages = [
+        name for name, module in network.named_modules() if isinstance(module, MobileViTLayer)
+    ]
+    if not stages:
+        return {"all layers": names}
+    found: dict[str, list[str]] = {}
+    for number, stage in enumerate(stages):
+        first = next(i for i, name in enumerate(names) if name.startswith(f"{stage}."))
+        last = number == len(stages) - 1
+        found[f"from the {'last' if last else ORDINALS[number]} stage on"] = names[first:]
+    inside = tuple(f"{stage}." for stage in stages)
+    if behind := [name for name in names if not name.startswith(inside)]:
+        found["head only"] = behind
+    return found
 
 
 @dataclass(frozen=True)
@@ -45,7 +112,7 @@ def measure_latency(
         network: (B, ...) inputs → (B, D).
         inputs: its arguments.
         passes: N.
-        rounds: how often each contestant runs, after the calls in which its operations are counted.
+        rounds: how often each contestant runs, after its operations are counted.
         compiled: add torch.compile (and, on a GPU, CUDA graphs).
 
     Returns:

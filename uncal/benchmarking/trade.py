@@ -10,8 +10,7 @@ import lightning
 import pandas as pd
 import torch
 
-from uncal.benchmarking.latency import seconds
-from uncal.benchmarking.placement import placements
+from uncal.benchmarking.latency import placements, seconds
 from uncal.errors import ConfigurationError, RecordingError
 from uncal.geometry import DOF_SCALE
 from uncal.inference.split_passes import predict_split

@@ -12,8 +12,12 @@ from uncal.models.module import CalibrationModule
 from uncal.models.split_prediction import SplitPrediction
 from uncal.recordings.frame import FrameId
 from uncal.settings.configuration import CONFIG_DIR
-from uncal.uncertainty.conformal.coverage_law import coverage_band
-from uncal.uncertainty.conformal.quantile import conformal_rank, miscoverage, samples_needed
+from uncal.uncertainty.conformal.quantile import (
+    conformal_rank,
+    coverage_band,
+    miscoverage,
+    samples_needed,
+)
 
 
 def choose_interval(interval: DictConfig, drives: int) -> str:

@@ -12,10 +12,9 @@ from lightning import LightningModule, Trainer
 from torch import Tensor, nn
 
 from uncal.errors import ConfigurationError, UncertaintyError
-from uncal.uncertainty.conformal.absolute import AbsoluteCalibrator
 from uncal.uncertainty.conformal.calibrator import IntervalCalibrator
 from uncal.uncertainty.conformal.intervals import Intervals
-from uncal.uncertainty.conformal.split_conformal import ConformalCalibrator
+from uncal.uncertainty.conformal.split_conformal import AbsoluteCalibrator, ConformalCalibrator
 from uncal.uncertainty.dropout.fingerprint import PredictorIdentity
 from uncal.uncertainty.dropout.mc_dropout import MCDropout
 

@@ -6,7 +6,7 @@ import lightning
 from lightning import LightningModule, Trainer
 
 from uncal.callbacks.uncertainty_calibration import ours
-from uncal.inference.control import image_blind_control
+from uncal.inference.split_passes import image_blind_control
 
 
 class ImageBlindControl(lightning.Callback):

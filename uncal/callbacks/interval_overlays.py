@@ -40,11 +40,8 @@ class IntervalOverlays(lightning.Callback):
     def __init__(self, folder: str, frames: int, dof: str, level: float, label: str) -> None:
         if dof not in DOF_NAMES:
             raise ConfigurationError(f'dof = "{dof}": choose one of {", ".join(DOF_NAMES)}')
-        self.folder = Path(folder)
-        self.frames = frames
-        self.dof = dof
-        self.level = level
-        self.label = label
+        self.folder, self.label = Path(folder), label
+        self.frames, self.dof, self.level = frames, dof, level
 
     def on_test_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Choose by width, draw, log."""
@@ -82,9 +79,7 @@ class IntervalOverlays(lightning.Callback):
 def chosen_by_width(width: Tensor, frames: int) -> dict[str, int]:
     """Frames from the widest interval to the narrowest, evenly spaced in rank.
 
-    Args:
-        width: (n,) interval widths; infinite ones are passed over.
-        frames: how many; fewer where there are fewer finite widths.
+    Infinite ones of the (n,) widths are passed over.
 
     Returns:
         What it is, such as "widest" → its number among the n.

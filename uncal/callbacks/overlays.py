@@ -35,9 +35,7 @@ class Overlays(lightning.Callback):
     """
 
     def __init__(self, folder: str, frames: int, label: str) -> None:
-        self.folder = Path(folder)
-        self.frames = frames
-        self.label = label
+        self.folder, self.frames, self.label = Path(folder), frames, label
 
     def on_validation_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Estimate without dropout, draw, log."""
@@ -105,9 +103,8 @@ def background(data: CalibrationDataModule, sample: Sample) -> NDArray[np.uint8]
     frame = data.recording.load(sample.frame)
     events = frame.events
     assert events is not None
-    return draw_events(
-        events, data.image_size, data.datasets["test"].fit(events.size, frame.K).pixel_map
-    )
+    fit = data.datasets["test"].fit(events.size, frame.K)
+    return draw_events(events, data.image_size, fit.pixel_map)
 
 
 def show_picture(trainer: Trainer, path: Path, tag: str) -> None:

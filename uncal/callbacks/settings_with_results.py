@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import lightning
+import pandas as pd
 from lightning import LightningModule, Trainer
 from lightning.pytorch.loggers import TensorBoardLogger
 
@@ -14,8 +15,6 @@ class SettingsWithResults(lightning.Callback):
 
     def teardown(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:
         """Log them once, after the report."""
-        import pandas as pd
-
         if stage != "test" or not trainer.is_global_zero:
             return
         if not isinstance(pl_module, CalibrationModule) or pl_module.run.results is None:

@@ -80,10 +80,7 @@ class UncertaintyCalibration(lightning.Callback):
 
 
 def interval_metrics(
-    module: CalibrationModule,
-    predicted: SplitPrediction,
-    frames: Sequence[FrameId],
-    level: float,
+    module: CalibrationModule, predicted: SplitPrediction, frames: Sequence[FrameId], level: float
 ) -> dict[str, Tensor]:
     """PICP, MPIW and IS of a split's intervals per DoF: tag → value in percent, cm or degrees."""
     intervals = module.intervals(predicted, frames, level)

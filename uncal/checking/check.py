@@ -16,7 +16,7 @@ from uncal.checking.evidence import View, view_of
 from uncal.checking.finding import DriveReport, Finding
 from uncal.checking.layouts import Drive, find_layout
 from uncal.errors import FrameError, RecordingError
-from uncal.events.pixel_map import PixelMap
+from uncal.events.stream import PixelMap
 from uncal.geometry.projection import project
 from uncal.recordings.frame import Frame, FrameId, Recording
 from uncal.recordings.sensor_files import write_image

@@ -21,8 +21,8 @@ from uncal.edges.evidence import NEAREST_M
 from uncal.edges.image import blurred, edge_maps
 from uncal.edges.selection import select_edges
 from uncal.edges.sweep import KIND, N_ACROSS, STRENGTH, find_edges
-from uncal.events.pixel_map import PixelMap
 from uncal.events.representations import Histogram
+from uncal.events.stream import PixelMap
 from uncal.recordings.frame import Frame
 
 WIDEST_PX = 640

@@ -189,11 +189,7 @@ class CalibrationDataModule(lightning.LightningDataModule):
                 self.skipped.update(skipped)
 
     def on_after_batch_transfer(self, batch: Batch, dataloader_idx: int) -> NetworkInput | None:
-        """Decalibrate and project on the device.
-
-        Returns:
-            The network's input, or None where no frame of the batch could be read.
-        """
+        """Decalibrate and project on the device; None where no frame of the batch could be read."""
         for skipped in batch.skipped:
             if str(skipped.frame) not in self.skipped:
                 log.warning("skipped %s: %s", skipped.frame, skipped.reason)

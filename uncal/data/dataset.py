@@ -160,19 +160,16 @@ class FrameDataset(Dataset[Item]):
         return self._cache[index]
 
     def _load(self, index: int) -> Item:
-        unit = self.units[index]
-        fixed = None
+        unit, fixed = self.units[index], None
+        loaded: Item = []
         if self.fixed_seed is not None:
             fixed = self.decalibration.draw_for(self.fixed_seed, str(unit[0]))
-        return [self._load_frame(index, frame_id, fixed) for frame_id in unit]
-
-    def _load_frame(
-        self, index: int, frame_id: FrameId, fixed: Tensor | None
-    ) -> Sample | SkippedFrame:
-        try:
-            return self.sample(self.recording.load(frame_id), index, fixed)
-        except FrameError as error:
-            return SkippedFrame(frame_id, str(error))
+        for frame_id in unit:
+            try:
+                loaded.append(self.sample(self.recording.load(frame_id), index, fixed))
+            except FrameError as error:
+                loaded.append(SkippedFrame(frame_id, str(error)))
+        return loaded
 
     def sample(self, frame: Frame, unit_index: int, decalibration: Tensor | None) -> Sample:
         """A frame at the network's size and culled, with its unit and (6,) fixed decalibration.
@@ -245,9 +242,8 @@ def collate(items: Sequence[Item]) -> Batch:
     skipped = [frame for frame in frames if isinstance(frame, SkippedFrame)]
     samples = [frame for frame in frames if isinstance(frame, Sample)]
     if not samples:
-        empty = torch.empty(0)
-        none = empty.long()
-        return Batch(none, none, [], empty, empty, empty, empty, empty, None, skipped)
+        none, empty = torch.empty(0, dtype=torch.int64), torch.empty(0)
+        return Batch(none, none, [], *[empty] * 5, None, skipped)
     indices = torch.tensor([sample.unit_index for sample in samples])
     unit_index, unit = torch.unique_consecutive(indices, return_inverse=True)
     first = [samples[i] for i in range(len(samples)) if i == 0 or unit[i] != unit[i - 1]]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uncal.errors import ConfigurationError, FrameError
-from uncal.events.pixel_map import PixelMap
+from uncal.events.stream import PixelMap
 
 
 @dataclass(frozen=True)
@@ -96,10 +96,7 @@ def size_at_focal(source: tuple[int, int], focal: float, wanted: float) -> tuple
 
 
 def resize_and_crop(
-    image: NDArray[np.uint8],
-    K: NDArray[np.float64],
-    how: Fit,
-    size: tuple[int, int],
+    image: NDArray[np.uint8], K: NDArray[np.float64], how: Fit, size: tuple[int, int]
 ) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
     """Bring an (h, w, 3) uint8 image and its (3, 3) camera matrix to the network's (H, W).
 

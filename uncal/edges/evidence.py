@@ -18,7 +18,7 @@ from torch.nn import functional as F
 
 from uncal.edges.sweep import N_ACROSS
 from uncal.geometry import transform_points
-from uncal.geometry.displacement import displacement_jacobian
+from uncal.geometry.projection import displacement_jacobian
 
 NEAREST_M = 0.5
 """Edges nearer than this to the camera's plane are not projected."""

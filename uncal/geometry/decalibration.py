@@ -68,27 +68,15 @@ class DecalibrationRange(SettingsGroup):
 
 
 def decalibrate(T_cam_lidar: Tensor, decalibration: Tensor) -> Tensor:
-    """The wrong extrinsic that a decalibration leaves: ``T_init = T_cam_lidar · D``.
+    """The wrong (..., 4, 4) extrinsic that a (..., 6) decalibration, metres and radians, leaves.
 
-    Args:
-        T_cam_lidar: (..., 4, 4) true extrinsics.
-        decalibration: (..., 6) metres and radians.
-
-    Returns:
-        (..., 4, 4) decalibrated extrinsics.
+    ``T_init = T_cam_lidar · D``
     """
     return T_cam_lidar @ pose_to_matrix(decalibration)
 
 
 def correct(T_init: Tensor, estimate: Tensor) -> Tensor:
-    """The extrinsic after taking an estimated decalibration out: ``T_init · D̂⁻¹``.
-
-    Args:
-        T_init: (..., 4, 4) decalibrated extrinsics.
-        estimate: (..., 6) estimated decalibration, metres and radians.
-
-    Returns:
-        (..., 4, 4) corrected extrinsics.
+    """The (..., 4, 4) extrinsic after taking a (..., 6) estimate, m and rad, out: ``T_init · D̂⁻¹``.
 
     >>> T = pose_to_matrix(torch.tensor([0.1, 0.2, 0.3, 0.0, 0.1, 0.2]))
     >>> d = torch.tensor([0.05, -0.02, 0.0, 0.01, 0.0, -0.01])

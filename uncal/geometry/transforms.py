@@ -20,13 +20,7 @@ DOF_SCALE: tuple[float, ...] = (100.0,) * 3 + (180.0 / 3.141592653589793,) * 3
 
 
 def euler_to_matrix(angles: Tensor) -> Tensor:
-    """Rotation matrices R = Rz(yaw) · Ry(pitch) · Rx(roll).
-
-    Args:
-        angles: (..., 3) roll, pitch, yaw in radians.
-
-    Returns:
-        (..., 3, 3) rotation matrices.
+    """(..., 3, 3) rotations R = Rz(yaw) · Ry(pitch) · Rx(roll) of (..., 3) radians.
 
     >>> euler_to_matrix(torch.tensor([0.0, 0.0, torch.pi / 2])).round().int().tolist()
     [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
@@ -44,13 +38,9 @@ def euler_to_matrix(angles: Tensor) -> Tensor:
 
 
 def matrix_to_euler(rotation: Tensor) -> Tensor:
-    """Roll, pitch, yaw of rotation matrices; the inverse of :func:`euler_to_matrix`.
+    """(..., 3) roll, pitch, yaw in radians of (..., 3, 3) rotations with |pitch| < 90°.
 
-    Args:
-        rotation: (..., 3, 3) rotation matrices with |pitch| < 90°.
-
-    Returns:
-        (..., 3) roll, pitch, yaw in radians.
+    The inverse of :func:`euler_to_matrix`.
 
     >>> angles = torch.tensor([0.1, -0.2, 0.3], dtype=torch.float64)
     >>> torch.allclose(matrix_to_euler(euler_to_matrix(angles)), angles)
@@ -82,13 +72,9 @@ def pose_to_matrix(pose: Tensor) -> Tensor:
 
 
 def matrix_to_pose(transform: Tensor) -> Tensor:
-    """6-vectors from homogeneous transforms; the inverse of :func:`pose_to_matrix`.
+    """(..., 6) metres and radians of (..., 4, 4) rigid transforms with |pitch| < 90°.
 
-    Args:
-        transform: (..., 4, 4) rigid transforms with |pitch| < 90°.
-
-    Returns:
-        (..., 6) x, y, z in metres; roll, pitch, yaw in radians.
+    The inverse of :func:`pose_to_matrix`.
 
     >>> matrix_to_pose(torch.eye(4)).abs().sum().item()
     0.0
@@ -97,13 +83,7 @@ def matrix_to_pose(transform: Tensor) -> Tensor:
 
 
 def invert(transform: Tensor) -> Tensor:
-    """Inverse of rigid transforms (transpose of the rotation, no general solve).
-
-    Args:
-        transform: (..., 4, 4) rigid transforms.
-
-    Returns:
-        (..., 4, 4) their inverses.
+    """Inverses of (..., 4, 4) rigid transforms (transpose of the rotation, no general solve).
 
     >>> T = pose_to_matrix(torch.tensor([0.3, -1.0, 2.0, 0.1, 0.2, 0.3], dtype=torch.float64))
     >>> torch.allclose(invert(T) @ T, torch.eye(4, dtype=torch.float64))

@@ -15,8 +15,7 @@ from uncal.geometry import DOF_NAMES
 from uncal.models.split_prediction import SPREADS
 from uncal.uncertainty.conformal.calibrator import IntervalCalibrator
 from uncal.uncertainty.dropout.masks import FixedMasks
-from uncal.uncertainty.dropout.mc_dropout import MCDropout
-from uncal.uncertainty.dropout.single_pass import SinglePass
+from uncal.uncertainty.dropout.mc_dropout import MCDropout, SinglePass
 
 _Settings = TypeVar("_Settings", "DropoutSettings", "IntervalSettings")
 
@@ -78,12 +77,7 @@ class IntervalSettings:
     def make(
         self, network: nn.Module, dropout: DropoutSettings, bounds: Tensor
     ) -> IntervalCalibrator:
-        """The calibrator, unfitted.
-
-        Args:
-            network: whose outputs it is for.
-            dropout: where σ comes from.
-            bounds: (6,) range of the decalibrations, metres and radians.
+        """The calibrator, unfitted, of a network's outputs and their (6,) range, m and rad.
 
         Raises:
             ConfigurationError: it needs σ or quantiles that there are not.
@@ -111,11 +105,7 @@ def gives_quantiles(network: nn.Module) -> bool:
 
 
 def read_settings(kind: type[_Settings], name: str, section: DictConfig) -> _Settings:
-    """Make settings of a group of the configuration.
-
-    Raises:
-        ConfigurationError: a key that the class does not know, added by force.
-    """
+    """Make settings of a group of the configuration, or name a key added by force."""
     known = [field.name for field in fields(kind)]
     if unknown := [f"{name}.{key!s}" for key in section if key not in known]:
         raise ConfigurationError(
@@ -125,11 +115,7 @@ def read_settings(kind: type[_Settings], name: str, section: DictConfig) -> _Set
 
 
 def choice(name: str, value: str, known: Sequence[str]) -> str:
-    """One of a few words.
-
-    Raises:
-        ConfigurationError: another, with the key's name and what is possible.
-    """
+    """One of a few words; another is a ConfigurationError with the key's name and the words."""
     if value not in known:
         raise ConfigurationError(f"{name}={value}: expected {' or '.join(known)}")
     return value

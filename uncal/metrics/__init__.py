@@ -1,12 +1,11 @@
 """Metrics of prediction intervals: pure functions and torchmetrics around them."""
 
-from uncal.metrics.calibration_curve import CalibrationError, calibration_error
 from uncal.metrics.conditional import (
     BinnedCoverage,
     coverage_by_bin,
     quantile_edges,
 )
-from uncal.metrics.functional import interval_score, mpiw, picp
+from uncal.metrics.functional import CalibrationError, calibration_error, interval_score, mpiw, picp
 from uncal.metrics.intervals import MPIW, PICP, IntervalScore
 from uncal.metrics.joint import (
     log_volume,

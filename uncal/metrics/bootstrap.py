@@ -7,11 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-RESAMPLES = 2000
-"""Of the bootstrap."""
-
-CONFIDENCE = 0.95
-"""Of its interval."""
+RESAMPLES, CONFIDENCE = 2000, 0.95
+"""Of the bootstrap, and of its interval."""
 
 
 def bootstrap_ratio(
@@ -27,7 +24,7 @@ def bootstrap_ratio(
         above: (n, D).
         below: (n, D).
         groups: n labels.
-        resamples: how many times to draw as many groups as there are.
+        resamples: how many times as many groups as there are are drawn.
         seed: of the draws.
 
     Returns:

@@ -7,6 +7,9 @@ are intervals like others; NaN never is. Half precision is computed in float32.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import NamedTuple
+
 import torch
 from torch import Tensor
 
@@ -33,17 +36,9 @@ def covered(lower: Tensor, upper: Tensor, target: Tensor) -> Tensor:
 
 
 def width(lower: Tensor, upper: Tensor) -> Tensor:
-    """The width of each interval.
+    """The width of each interval: (n, ...), at least 0, in the bounds' units.
 
-    Args:
-        lower: (n, ...) lower bounds, -inf allowed.
-        upper: (n, ...) upper bounds, +inf allowed.
-
-    Returns:
-        (n, ...) widths, at least 0, in the bounds' units.
-
-    Raises:
-        ValueError: other shapes, no samples, NaN, or crossed bounds.
+    Arguments and errors are those of :func:`covered`.
 
     >>> width(torch.tensor([0.0, -torch.inf]), torch.tensor([2.0, torch.inf])).tolist()
     [2.0, inf]
@@ -55,17 +50,10 @@ def width(lower: Tensor, upper: Tensor) -> Tensor:
 def score(lower: Tensor, upper: Tensor, target: Tensor, alpha: float) -> Tensor:
     """The interval score of each sample: width plus 2/α times the distance of a miss.
 
-    Args:
-        lower: (n, ...) lower bounds, -inf allowed.
-        upper: (n, ...) upper bounds, +inf allowed.
-        target: (n, ...) finite truth.
-        alpha: miscoverage level of the intervals, in (0, 1).
+    Arguments and errors are those of :func:`covered`; alpha is the miscoverage level in (0, 1).
 
     Returns:
         (n, ...) scores in the bounds' units; lower is better, +inf for an infinite interval.
-
-    Raises:
-        ValueError: as :func:`covered`, or α outside (0, 1).
 
     >>> score(torch.zeros(2), torch.ones(2), torch.tensor([0.5, 1.5]), alpha=0.5).tolist()
     [1.0, 3.0]
@@ -162,3 +150,46 @@ def _checked_target(lower: Tensor, upper: Tensor, target: Tensor) -> tuple[Tenso
 
 def _at_least_float32(values: Tensor) -> Tensor:
     return values.to(torch.promote_types(values.dtype, torch.float32))
+
+
+class CalibrationError(NamedTuple):
+    """How far a calibration curve is from the diagonal.
+
+    Attributes:
+        absolute: (D,) mean over the levels of |empirical - nominal|, in 0..1.
+        signed: (D,) mean over the levels of empirical - nominal; positive: intervals too wide.
+    """
+
+    absolute: Tensor
+    signed: Tensor
+
+
+def calibration_error(observed: Tensor, levels: Sequence[float]) -> CalibrationError:
+    """Mean distance of a calibration curve from the diagonal, per output.
+
+    Even a perfect conformal method is not on the diagonal: at each point the Beta-Binomial law
+    (:func:`uncal.uncertainty.coverage_band` at that level) says how far off it may be.
+
+    Args:
+        observed: (L, D) empirical coverage in 0..1, one row per level.
+        levels: L nominal levels, in (0, 1).
+
+    Raises:
+        ValueError: another number of levels, none, or a level outside (0, 1).
+
+    >>> error = calibration_error(torch.tensor([[0.6], [0.7]]), levels=[0.5, 0.8])
+    >>> [round(value.item(), 3) for value in error]
+    [0.1, 0.0]
+    """
+    if not levels or not all(0 < level < 1 for level in levels):
+        raise ValueError(
+            f"levels {list(levels)}: expected at least one, all in (0, 1), such as 0.9 for 90%."
+        )
+    if observed.ndim != 2 or len(observed) != len(levels):
+        raise ValueError(
+            f"a curve of shape {tuple(observed.shape)} for {len(levels)} levels; expected "
+            f"({len(levels)}, D), one row per level."
+        )
+    nominal = torch.tensor(list(levels), dtype=observed.dtype, device=observed.device)
+    distance = observed - nominal[:, None]
+    return CalibrationError(distance.abs().mean(0), distance.mean(0))

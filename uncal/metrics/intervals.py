@@ -18,7 +18,6 @@ class _MeanPerOutput(Metric):
     count: Tensor
 
     def __init__(self, num_outputs: int) -> None:
-        """Make empty sums."""
         super().__init__()
         if num_outputs < 1:
             raise ValueError(f"num_outputs = {num_outputs}; a metric needs at least one output.")
@@ -74,11 +73,7 @@ class MPIW(_MeanPerOutput):
 
 
 class IntervalScore(_MeanPerOutput):
-    """Mean interval score per output; see :func:`functional.interval_score`.
-
-    Args:
-        num_outputs: D, the number of outputs.
-        alpha: miscoverage level of the intervals, in (0, 1).
+    """Mean interval score per output at one level α; see :func:`functional.interval_score`.
 
     >>> metric = IntervalScore(num_outputs=1, alpha=0.5)
     >>> metric.update(torch.zeros(2, 1), torch.ones(2, 1), torch.tensor([[0.5], [1.5]]))
@@ -89,7 +84,6 @@ class IntervalScore(_MeanPerOutput):
     higher_is_better = False
 
     def __init__(self, num_outputs: int, alpha: float) -> None:
-        """Make empty sums for one level."""
         super().__init__(num_outputs)
         if not 0 < alpha < 1:
             raise ValueError(f"alpha = {alpha} is outside (0, 1); give for instance 0.1 for 90%.")

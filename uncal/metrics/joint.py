@@ -32,13 +32,9 @@ def jointly_covered(lower: Tensor, upper: Tensor, target: Tensor) -> Tensor:
 def log_volume(lower: Tensor, upper: Tensor) -> Tensor:
     """Natural logarithm of each box's volume: Σ_j log(upper_j - lower_j).
 
-    Args:
-        lower: (n, D) lower bounds, -inf allowed.
-        upper: (n, D) upper bounds, +inf allowed.
-
     Returns:
-        (n,): +inf for a box with an infinite side, even where another side has no width; -inf for
-        a finite box with a side of no width.
+        (n,) of (n, D) bounds: +inf for a box with an infinite side, even where another side has no
+        width; -inf for a finite box with a side of no width.
 
     Raises:
         ValueError: as :func:`uncal.metrics.functional.width`, or no dimension D.
@@ -71,14 +67,8 @@ def mean_log_volume(lower: Tensor, upper: Tensor) -> Tensor:
 def relative_size(lower: Tensor, upper: Tensor, other_lower: Tensor, other_upper: Tensor) -> Tensor:
     """How wide boxes A are relative to boxes B: the geometric mean of w_A/w_B.
 
-    Taken over samples and outputs, so that it is free of units, and its D-th power is the ratio of
-    the (geometric mean) volumes.
-
-    Args:
-        lower: (n, D) lower bounds of A.
-        upper: (n, D) upper bounds of A.
-        other_lower: (n, D) lower bounds of B.
-        other_upper: (n, D) upper bounds of B.
+    Taken over samples and outputs, (n, D) bounds each, so that it is free of units, and its D-th
+    power is the ratio of the (geometric mean) volumes.
 
     Returns:
         () factor: +inf if only A has an infinite box, 0 if only B has one, NaN if both have, or if

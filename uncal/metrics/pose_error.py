@@ -70,13 +70,9 @@ def pose_errors(mean: Tensor, target: Tensor, n_calibration: int) -> PoseErrors:
 
 
 def rotation_angle(transform: Tensor) -> Tensor:
-    """The geodesic angle of transforms, by ‖R - I‖ = 2√2 sin(θ/2), exact for small angles too.
+    """(...) geodesic angles, 0..π radians, of (..., 4, 4) transforms.
 
-    Args:
-        transform: (..., 4, 4) rigid transforms.
-
-    Returns:
-        (...) angles in 0..π radians.
+    By ‖R - I‖ = 2√2 sin(θ/2), which is exact for small angles too.
 
     >>> pose = torch.tensor([0.0, 0.0, 0.0, 0.0, 0.0, 1e-6], dtype=torch.float64)
     >>> round(rotation_angle(pose_to_matrix(pose)).item(), 12)

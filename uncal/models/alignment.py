@@ -21,7 +21,7 @@ from uncal.edges.evidence import (
 )
 from uncal.errors import ConfigurationError
 from uncal.geometry.decalibration import correct, decalibrate
-from uncal.geometry.displacement import true_displacement
+from uncal.geometry.projection import true_displacement
 from uncal.models.answer import Answer, Prior, Question, State
 from uncal.models.edge_alignment import EdgeAlignmentEstimator
 from uncal.models.evidence import STRIDES, EvidenceNetwork

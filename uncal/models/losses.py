@@ -10,13 +10,7 @@ from uncal.models.answer import State
 
 
 def pose_loss(estimate: Tensor, target: Tensor, bounds: Tensor) -> Tensor:
-    """Smooth L1 on the pose in units of the decalibration's range, mean over DoF and batch.
-
-    Args:
-        estimate: (B, 6) metres and radians.
-        target: (B, 6) metres and radians.
-        bounds: (6,) range of the decalibrations.
-    """
+    """Smooth L1 of (B, 6) poses, m and rad, in units of their (6,) range; mean over all."""
     return F.smooth_l1_loss(estimate / bounds, target / bounds, beta=0.2)
 
 
@@ -39,15 +33,10 @@ def displacement_loss(displacement: Tensor, truth: Tensor, seen: Tensor) -> Tens
 
 
 def pinball_loss(quantile: Tensor, target: Tensor, level: float, bounds: Tensor) -> Tensor:
-    """What a quantile of that level minimises (Koenker and Bassett 1978), mean over all.
+    """What a quantile of a level in (0, 1) minimises (Koenker and Bassett 1978), mean over all.
 
-    Args:
-        quantile: (B, 6) metres and radians.
-        target: (B, 6) metres and radians.
-        level: in (0, 1).
-        bounds: (6,) range of the decalibrations.
+    Quantile and target are (B, 6), metres and radians, in units of their (6,) range.
 
-    >>> import torch
     >>> one = torch.ones(1, 6)
     >>> round(pinball_loss(0 * one, one, 0.9, one[0]).item(), 2)
     0.9
@@ -57,16 +46,8 @@ def pinball_loss(quantile: Tensor, target: Tensor, level: float, bounds: Tensor)
 
 
 def relative_error(estimate: Tensor, target: Tensor) -> Tensor:
-    """Mean absolute error over mean absolute decalibration, per DoF; 1 is doing nothing.
+    """(6,) mean absolute error over mean absolute decalibration of (n, 6); 1 is doing nothing.
 
-    Args:
-        estimate: (n, 6).
-        target: (n, 6).
-
-    Returns:
-        (6,).
-
-    >>> import torch
     >>> relative_error(torch.zeros(2, 6), torch.ones(2, 6)).tolist()
     [1.0, 1.0, 1.0, 1.0, 1.0, 1.0]
     """

@@ -19,7 +19,6 @@ from uncal.errors import UncertaintyError
 from uncal.geometry import DOF_NAMES
 from uncal.models.answer import Estimator
 from uncal.models.losses import relative_error
-from uncal.models.schedule import follow
 from uncal.models.split_prediction import SplitPrediction, frame_seed, join_predictions, pass_names
 from uncal.recordings.frame import FrameId
 from uncal.run_state import RunState
@@ -28,8 +27,9 @@ from uncal.uncertainty.conformal.ellipsoid import EllipsoidCalibrator
 from uncal.uncertainty.conformal.intervals import Intervals
 from uncal.uncertainty.dropout.layers import only_active
 from uncal.uncertainty.dropout.masks import FixedMasks
-from uncal.uncertainty.dropout.mc_dropout import MCDropout, Prediction
+from uncal.uncertainty.dropout.mc_dropout import MCDropout
 from uncal.uncertainty.dropout.pass_memory import PassMemory
+from uncal.uncertainty.dropout.prediction import Prediction
 from uncal.uncertainty.gather import gather_by_id
 
 log = logging.getLogger(__name__)
@@ -89,11 +89,7 @@ class CalibrationModule(lightning.LightningModule):
         return any(parameter.requires_grad for parameter in self.parameters())
 
     def forward(self, batch: NetworkInput) -> Tensor:
-        """Estimate the decalibration of a batch.
-
-        Returns:
-            (n, 6) metres and radians.
-        """
+        """(n, 6) estimated decalibrations of a batch, metres and radians."""
         return self._estimator.pose(batch)
 
     @property
@@ -132,11 +128,7 @@ class CalibrationModule(lightning.LightningModule):
         return prediction.samples
 
     def remember(self, memory: PassMemory) -> None:
-        """Keep the stochastic passes from now on, and use those that are kept already.
-
-        Args:
-            memory: for the weights as they are now; training must be over.
-        """
+        """Keep the passes of the weights as they are now, and use those that are kept already."""
         self.memory = memory
 
     def fit_calibrator(self, scores: SplitPrediction, frames: Sequence[FrameId]) -> None:
@@ -159,13 +151,7 @@ class CalibrationModule(lightning.LightningModule):
     def intervals(
         self, predicted: SplitPrediction, frames: Sequence[FrameId], level: float
     ) -> Intervals:
-        """The intervals of a split's predictions at a coverage level in (0, 1).
-
-        Args:
-            predicted: some frames of a split.
-            frames: all of that split.
-            level: coverage level in (0, 1).
-        """
+        """Intervals at a level in (0, 1) of predictions of some of the ``frames`` of a split."""
         return self.calibrator.predict(
             predicted.mean,
             predicted.std,
@@ -257,3 +243,19 @@ class CalibrationModule(lightning.LightningModule):
             "optimizer": optimizer,
             "lr_scheduler": {"scheduler": scheduler, "interval": "step"},
         }
+
+
+def follow(schedulers: Iterable[object]) -> None:
+    """Give every optimiser the rate that its schedule has for the coming step.
+
+    A checkpoint brings the rate of the schedule that it was made under. In a training resumed with
+    another length the first step would still follow that one; with the same length this changes
+    nothing, to the last bit. Schedulers that are no :class:`LambdaLR` are left alone.
+    """
+    for scheduler in schedulers:
+        if not isinstance(scheduler, LambdaLR):
+            continue
+        groups = scheduler.optimizer.param_groups
+        parts = zip(groups, scheduler.base_lrs, scheduler.lr_lambdas, strict=True)
+        for group, base, factor in parts:
+            group["lr"] = base * factor(scheduler.last_epoch)

@@ -63,12 +63,7 @@ class SplitPrediction:
         return SplitPrediction(**moved, bounds=bounds)
 
     def groups(self, frames: Sequence[FrameId], by: str) -> list[str]:
-        """What the frames belong to.
-
-        Args:
-            frames: of the split.
-            by: ``rig`` or ``drive``.
-        """
+        """The ``rig`` or ``drive`` of each, from all frames of the split."""
         chosen = [frames[i] for i in self.index.tolist()]
         return [f.rig if by == "rig" else f"{f.rig}/{f.drive}" for f in chosen]
 
@@ -92,11 +87,7 @@ class ControlPrediction:
     target: Tensor
 
     def among(self, index: Tensor) -> ControlPrediction | None:
-        """The part of it that belongs to some frames, or None if these are fewer than two.
-
-        Args:
-            index: (m,) int64 numbers of frames in the split.
-        """
+        """The part of it with (m,) int64 numbers in the split, or None if fewer than two."""
         kept = torch.isin(self.index, index)
         if int(kept.sum()) < 2:
             return None
@@ -106,14 +97,7 @@ class ControlPrediction:
 
 
 def spread_of(answer: Answer, spread: str) -> tuple[Tensor, Tensor]:
-    """σ and covariance of the error, of the kind asked for.
-
-    Args:
-        answer: of the stochastic passes.
-        spread: one of :data:`SPREADS`.
-
-    Returns:
-        (n, 6) and (n, 6, 6), metres and radians.
+    """(n, 6) σ and (n, 6, 6) covariance of the error, m and rad, by one of :data:`SPREADS`.
 
     Raises:
         ConfigurationError: the solver's covariance of a network without a solver.
@@ -133,11 +117,7 @@ def spread_of(answer: Answer, spread: str) -> tuple[Tensor, Tensor]:
 
 
 def frame_seed(seed: int, split: str, frame: FrameId) -> int:
-    """Seed of a frame's dropout masks: the same in any batch, on any process, in any order.
-
-    Returns:
-        63-bit seed.
-    """
+    """63-bit seed of a frame's masks: the same in any batch, on any process, in any order."""
     digest = hashlib.sha256(f"{seed}|{split}|{frame}".encode()).digest()
     return int.from_bytes(digest[:8], "little") >> 1
 

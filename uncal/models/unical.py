@@ -37,10 +37,7 @@ class UniCal(nn.Module):
         self.head = head(cast(Pyramid, self.backbone).channels)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Estimate.
-
-        Args:
-            x: (B, C, H, W) normalised channels.
+        """Estimate from (B, C, H, W) normalised channels.
 
         Returns:
             (B, 6) in units of the decalibration's range, (B, 3, 6), or (B, 4, h, w); see

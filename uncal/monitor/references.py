@@ -30,7 +30,7 @@ from uncal.monitor.window import Window
 from uncal.recordings.frame import Frame, FrameId, Recording
 from uncal.reporting.layout import replaced_whole
 from uncal.system.progress import watched
-from uncal.uncertainty.conformal.hierarchical import HierarchicalCalibrator
+from uncal.uncertainty.conformal.groups import HierarchicalCalibrator
 from uncal.uncertainty.conformal.quantile import miscoverage, samples_needed
 from uncal.uncertainty.conformal.split_conformal import ConformalCalibrator
 from uncal.weights.digest import digest_of

@@ -4,21 +4,25 @@ from __future__ import annotations
 
 import logging
 import multiprocessing
+import os
 import pickle
 import shlex
 import sys
 import time
 import traceback
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any, cast
 
+from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
+from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.utils import JobReturn, JobStatus
-from hydra.errors import CompactHydraException
+from hydra.errors import CompactHydraException, HydraException
 from hydra.experimental.callback import Callback
 from hydra.types import RunMode, TaskFunction
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
-from uncal.multirun.folder import FIGURES, SUMMARY, Multirun
-from uncal.multirun.plan import planned_jobs, share_cores
+from uncal.multirun.folder import FIGURES, SUMMARY, Multirun, as_mapping
 from uncal.multirun.summary import write_summary
 from uncal.reporting.run import FAILED
 
@@ -26,6 +30,8 @@ log = logging.getLogger(__name__)
 
 FIGURES_EVERY = 300.0
 """Seconds from one drawing to the next while jobs are still to come."""
+
+THREADS = "OMP_NUM_THREADS"
 
 
 class MultirunSummary(Callback):
@@ -54,14 +60,14 @@ class MultirunSummary(Callback):
         self, config: DictConfig, *, task_function: TaskFunction, **kwargs: object
     ) -> None:
         """List the job as unfinished, so that an interrupted multirun shows it."""
-        if is_multirun(config):
+        if config.hydra.mode == RunMode.MULTIRUN:
             restore_start_method()
             (Path(config.hydra.runtime.output_dir) / FAILED).unlink(missing_ok=True)
             self._write(config)
 
     def on_job_end(self, config: DictConfig, job_return: JobReturn, **kwargs: object) -> None:
         """Take the job in; keep the reason if it failed."""
-        if not is_multirun(config):
+        if config.hydra.mode != RunMode.MULTIRUN:
             return
         if job_return.status is JobStatus.FAILED:
             folder = Path(config.hydra.runtime.output_dir)
@@ -122,11 +128,6 @@ def make_portable(job_return: JobReturn, reason: str) -> None:
         job_return.return_value = CompactHydraException(reason)
 
 
-def is_multirun(config: DictConfig) -> bool:
-    """Whether a job belongs to a multirun."""
-    return bool(config.hydra.mode == RunMode.MULTIRUN)
-
-
 def failure(job_return: JobReturn) -> str:
     """Why a job failed: the message of an error that a user can act on, else the traceback's end.
 
@@ -155,3 +156,58 @@ def _modified(path: Path) -> float:
         return path.stat().st_mtime
     except OSError:
         return 0.0
+
+
+def planned_jobs(config: DictConfig) -> list[dict[str, str]] | None:
+    """The overrides of every job in order, key → value; None if only the sweeper knows them.
+
+    It does where it looks at results before it goes on, or will refuse the command line.
+    """
+    sweeper = config.hydra.sweeper
+    if not str(sweeper._target_).endswith(f".{BasicSweeper.__name__}"):
+        return None
+    swept = [f"{key}={value}" for key, value in (sweeper.params or {}).items()]
+    given = OmegaConf.to_container(config.hydra.overrides.task, resolve=False)
+    try:
+        parsed = OverridesParser.create().parse_overrides([*swept, *cast("list[str]", given)])
+        (jobs,) = BasicSweeper.split_arguments(parsed, None)
+    except (HydraException, AssertionError):  # glob() asserts what only the sweeper has
+        return None
+    return [as_mapping(job) for job in jobs]
+
+
+def share_cores(config: DictConfig, planned: Sequence[Mapping[str, str]] | None) -> None:
+    """Let parallel jobs on one machine share its cores, unless ``OMP_NUM_THREADS`` is set.
+
+    The variable is set in this process, whose jobs' processes inherit it before they import torch;
+    otherwise each would start a thread per core, and together they would be slower than in turn.
+    """
+    from joblib import cpu_count  # type: ignore[import-untyped]
+
+    known = None if planned is None else len(planned)
+    threads = threads_per_job(config.hydra.launcher, known, cpu_count())
+    if threads is not None and THREADS not in os.environ:
+        os.environ[THREADS] = str(threads)
+        log.info("%d thread(s) per job; set %s for another number", threads, THREADS)
+
+
+def threads_per_job(
+    launcher: Mapping[str, Any] | DictConfig, planned: int | None, cores: int
+) -> int | None:
+    """Threads for every job of a parallel launcher; None to leave it to the job's process.
+
+    >>> threads_per_job({"_target_": "plugin.JoblibLauncher", "n_jobs": 2}, planned=8, cores=16)
+    8
+    >>> threads_per_job({"_target_": "plugin.LocalLauncher"}, planned=8, cores=16)
+    2
+    """
+    name, n_jobs = str(launcher["_target_"]).rpartition(".")[2], launcher.get("n_jobs")
+    if (asked := launcher.get("cpus_per_task")) is not None:
+        return int(asked)
+    if name == "JoblibLauncher" and n_jobs:
+        at_once = n_jobs if n_jobs > 0 else max(1, cores + 1 + n_jobs)
+    elif name == "LocalLauncher":  # submitit starts all jobs at the same time
+        at_once = planned or 1
+    else:
+        return None
+    return int(max(1, cores // min(at_once, planned or at_once)))

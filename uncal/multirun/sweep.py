@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from uncal.geometry import DOF_NAMES
-from uncal.multirun.jobs import REPLICATES
+from uncal.multirun.folder import REPLICATES
 
 KEY_NAMES = {
     "mcd.passes": "stochastic passes",

@@ -1,4 +1,4 @@
-"""Calibration files: what all layouts share, and KITTI's chain from the LiDAR to a camera.
+"""Calibration files: what all layouts share, and the chains from the LiDAR to a camera.
 
 KITTI projects a LiDAR point p by P_rect_0i · R_rect_00 · T_velo_to_cam · p. With
 P_rect_0i = K · [I | b], b = K⁻¹ · P_rect_0i[:, 3], the extrinsic of camera i is therefore
@@ -26,6 +26,11 @@ _ROTATION_TOLERANCE = 1e-3
 
 _RESTORE = "Restore the file from the archive of its data set."
 
+SIDES: dict[str, int] = {"left": 0, "right": 3}
+"""Event camera → its number in ``cam_to_cam.yaml``."""
+
+_SOURCE = "DSEC offers the calibration as an archive of its own; unpack it over the sequences."
+
 
 @dataclass(frozen=True)
 class CameraCalibration:
@@ -43,11 +48,7 @@ class CameraCalibration:
 
 
 def read_calibration_text(path: Path, source: str) -> str:
-    """The text of a calibration file; ``source`` is a sentence that says where to get it.
-
-    Raises:
-        CalibrationMissing: it is missing or cannot be read.
-    """
+    """The text of a calibration file; ``source`` is a sentence that says where to get it."""
     try:
         return path.read_text(encoding="utf-8", errors="replace")
     except OSError as error:
@@ -57,11 +58,7 @@ def read_calibration_text(path: Path, source: str) -> str:
 
 
 def read_calibration_yaml(path: Path, source: str) -> object:
-    """The content of a YAML file; see :func:`read_calibration_text`.
-
-    Raises:
-        RecordingError: it cannot be read, or is no YAML.
-    """
+    """The content of a YAML file; see :func:`read_calibration_text`."""
     try:
         return yaml.safe_load(read_calibration_text(path, source))
     except yaml.YAMLError as error:
@@ -71,11 +68,7 @@ def read_calibration_yaml(path: Path, source: str) -> object:
 def numbers_at(
     content: object, keys: str, shape: tuple[int, ...], path: Path
 ) -> NDArray[np.float64]:
-    """Finite numbers at a dotted key of nested mappings, such as ``extrinsics.T_10``.
-
-    Raises:
-        RecordingError: a key is missing, or there is something else.
-    """
+    """Finite numbers at a dotted key of nested mappings, such as ``extrinsics.T_10``."""
     parts = keys.split(".")
     for depth, key in enumerate(parts, 1):
         if not isinstance(content, Mapping) or key not in content:
@@ -90,11 +83,7 @@ def numbers_at(
 def numbers(
     value: object, shape: tuple[int, ...] | None, path: Path, where: str
 ) -> NDArray[np.float64]:
-    """Finite numbers of a shape; None: of any.
-
-    Raises:
-        RecordingError: the value is something else; the message names file and key.
-    """
+    """Finite numbers of a shape; None: of any. Anything else is refused by file and key."""
     try:
         # YAML 1.1 takes 1e-05, without a dot, for a word; numpy takes the word for a number.
         array = np.array(value, dtype=np.float64)
@@ -129,11 +118,7 @@ def transform_at(content: object, keys: str, path: Path) -> NDArray[np.float64]:
 
 
 def check_rotation(rotation: NDArray[np.float64], name: str, path: Path, remedy: str) -> None:
-    """Make sure that a (3, 3) matrix is a rotation.
-
-    Raises:
-        RotationError: it is not; the message names file, matrix and remedy.
-    """
+    """Refuse a (3, 3) matrix that is no rotation, with file, matrix and remedy."""
     defect = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
     if defect > _ROTATION_TOLERANCE or np.linalg.det(rotation) < 0:
         raise RotationError(
@@ -153,15 +138,9 @@ def height_width(width_height: NDArray[np.float64]) -> tuple[int, int]:
 
 
 def read_calibration_file(path: Path) -> dict[str, NDArray[np.float64]]:
-    """KITTI's ``key: numbers`` lines; 9 and 12 numbers are (3, 3) and (3, 4), dates left out.
-
-    Raises:
-        RecordingError: the file is missing or cannot be read.
-    """
-    text = read_calibration_text(
-        path,
-        "KITTI offers the calibration as an archive of its own; unpack it over the recordings.",
-    )
+    """KITTI's ``key: numbers`` lines; 9 and 12 numbers are (3, 3) and (3, 4), dates left out."""
+    source = "KITTI offers the calibration as an archive of its own; unpack it over the recordings."
+    text = read_calibration_text(path, source)
     values: dict[str, NDArray[np.float64]] = {}
     for line in text.splitlines():
         key, _, text_after = line.partition(":")
@@ -226,3 +205,54 @@ def _from_projection(
     T_cam_rect0 = np.eye(4)
     T_cam_rect0[:3, 3] = np.linalg.solve(K, projection[:, 3])
     return CameraCalibration(K, T_cam_rect0 @ T_rect0_lidar, size)
+
+
+def event_camera_calibration(
+    cam_to_cam: Path, cam_to_lidar: Path, side: str = "left"
+) -> CameraCalibration:
+    """Calibration of one rectified event camera of DSEC.
+
+    DSEC calibrates the LiDAR against camRect1, the rectified left *frame* camera, and the cameras
+    against each other: cam0 and cam3 are the event cameras left and right, cam1 and cam2 the frame
+    cameras. ``T_XY`` takes points from camY to camX and ``R_rectX`` from camX to camRectX, hence
+
+        T_camRect0_lidar = R_rect0 · T_10⁻¹ · R_rect1⁻¹ · T_lidar_camRect1⁻¹        (left)
+        T_camRect3_lidar = R_rect3 · T_32 · T_21 · R_rect1⁻¹ · T_lidar_camRect1⁻¹   (right).
+
+    Args:
+        cam_to_cam: ``cam_to_cam.yaml`` of the sequence.
+        cam_to_lidar: ``cam_to_lidar.yaml`` of the sequence or of its drive.
+        side: a key of :data:`SIDES`.
+
+    Returns:
+        K of camRect0 (right: camRect3) and the extrinsic from the LiDAR to that camera. A frame
+        camera's K scaled to the event camera's size would stay in the frame camera, whose
+        viewpoint is some 4 cm away (right: 9 cm).
+
+    Raises:
+        RecordingError: a file or a key is missing or damaged.
+    """
+    cameras, path = read_calibration_yaml(cam_to_cam, _SOURCE), cam_to_cam
+    number = SIDES[side]
+    camera = f"intrinsics.camRect{number}"
+    fx, fy, cx, cy = numbers_at(cameras, f"{camera}.camera_matrix", (4,), path)
+    K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], dtype=np.float64)
+    if not is_camera_matrix(K):
+        raise RecordingError(
+            f"{path}: camRect{number}'s camera_matrix starts with fx = {fx}, fy = {fy}, "
+            "expected [fx, fy, cx, cy] in pixels. Restore the file from DSEC's archive."
+        )
+    size = None
+    if "resolution" in cameras["intrinsics"][f"camRect{number}"]:  # type: ignore[index]
+        size = height_width(numbers_at(cameras, f"{camera}.resolution", (2,), path))
+    T_rect1_cam1 = rotation_at(cameras, "extrinsics.R_rect1", path)
+    T_rect_cam = rotation_at(cameras, f"extrinsics.R_rect{number}", path)
+    if side == "left":
+        T_cam_cam1 = np.linalg.inv(transform_at(cameras, "extrinsics.T_10", path))
+    else:
+        T_32 = transform_at(cameras, "extrinsics.T_32", path)
+        T_cam_cam1 = T_32 @ transform_at(cameras, "extrinsics.T_21", path)
+    lidar = read_calibration_yaml(cam_to_lidar, _SOURCE)
+    T_lidar_rect1 = transform_at(lidar, "T_lidar_camRect1", cam_to_lidar)
+    T_rect_rect1 = T_rect_cam @ T_cam_cam1 @ np.linalg.inv(T_rect1_cam1)
+    return CameraCalibration(K, T_rect_rect1 @ np.linalg.inv(T_lidar_rect1), size)

@@ -1,7 +1,7 @@
 """DSEC (Gehrig et al., "DSEC: A Stereo Event Camera Dataset for Driving Scenarios", RA-L 2021).
 
 A frame is a LiDAR scan and the events that lead up to it. See :mod:`uncal.recordings.dsec_layout`
-for the files and :mod:`uncal.recordings.dsec_sequences` for the official splits.
+for the files and the official splits.
 """
 
 from __future__ import annotations
@@ -17,12 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uncal.errors import RecordingError
-from uncal.recordings.calibration_files import CameraCalibration
-from uncal.recordings.dsec_calibration import SIDES, event_camera_calibration
+from uncal.recordings.calibration_files import SIDES, CameraCalibration, event_camera_calibration
 from uncal.recordings.dsec_events import inspect_events, read_rectify_map
-from uncal.recordings.dsec_layout import REMEDY, SequenceFolder, find_sequences
+from uncal.recordings.dsec_layout import REMEDY, SequenceFolder, drive_of, find_sequences
 from uncal.recordings.dsec_pairing import SCAN_TIMES, EventWindow, PairedSequence, pair
-from uncal.recordings.dsec_sequences import drive_of
 from uncal.recordings.folder_listing import choose, one_of
 from uncal.recordings.folder_recording import check_stride
 from uncal.recordings.frame import Frame, FrameId
@@ -52,7 +50,7 @@ class Dsec:
         window_ms: length of the event window before each scan, milliseconds.
         min_events: a frame with fewer events is left out; a standing car sees next to nothing.
         sequences: names or shell patterns (``zurich_city_0*``); all if None.
-        side: event camera, a key of :data:`~uncal.recordings.dsec_calibration.SIDES`.
+        side: event camera, a key of :data:`~uncal.recordings.calibration_files.SIDES`.
         stride: keep every ``stride``-th scan of each sequence.
         scan_time: when the window ends, one of :data:`SCAN_TIMES`. DSEC does not say which moment
             of the sweep its stamps are. The field ``time`` of the points counts from the stamp, so
@@ -82,7 +80,6 @@ class Dsec:
         scan_time: str = "end",
         untwist: bool = True,
     ) -> None:
-        """Find the sequences, read their calibration and index their scans; no event is read."""
         require("window_ms", window_ms, number(0.001, 60_000))
         require("min_events", min_events, number(0, 1e9, whole=True))
         one_of(side, list(SIDES), "side")
@@ -156,12 +153,9 @@ class Dsec:
         frames, poor = sequence.sort_out(self._window, self._stride)
         self._sequences[rig, folder.name] = sequence
         self.frame_ids += [FrameId(rig, folder.name, index) for index in frames]
-        self.skipped |= {
-            str(FrameId(rig, folder.name, index)): reason for index, reason in poor.items()
-        }
-        log.info(
-            "sequence %s: %d frames, %d with too few events", folder.name, len(frames), len(poor)
-        )
+        self.skipped |= {str(FrameId(rig, folder.name, i)): reason for i, reason in poor.items()}
+        sizes = (folder.name, len(frames), len(poor))
+        log.info("sequence %s: %d frames, %d with too few events", *sizes)
 
     def _motion(self, folder: SequenceFolder, bag: LidarBag) -> SweepMotion | None:
         if not self._untwist:

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from uncal.errors import FrameError, NothingPaired, RecordingError
 from uncal.recordings.calibration_files import CameraCalibration
-from uncal.recordings.dsec_clock import clock_time, on_event_clock
 from uncal.recordings.dsec_events import EventFile
 from uncal.recordings.frame import Frame, FrameId
 from uncal.recordings.lidar_bag import LidarBag
@@ -18,6 +17,43 @@ from uncal.recordings.scan_motion import SweepMotion
 
 SCAN_TIMES: tuple[str, ...] = ("end", "stamp")
 """What may count as the time of a scan: its last point, or the stamp of its message."""
+
+DAY_US = 86_400_000_000
+"""Microseconds of a day."""
+
+
+def on_event_clock(
+    time_ns: NDArray[np.int64],  # (n,) UNIX ns; rounded down: no event after the scan enters
+    t_offset_us: int,  # the file's ``t_offset``
+    first_us: int,  # the first event's, as in the file (without ``t_offset``)
+) -> NDArray[np.int64]:
+    """Times of scans on the clock that a sequence's events count on.
+
+    That is microseconds since UTC midnight, of which day the events do not say; a sequence that
+    runs past midnight goes on counting.
+    ``first + ((time - t_offset - first) mod day)``: whatever day the events were recorded on, a
+    scan taken during them comes out between their first and their last time. A scan taken before
+    them comes out almost a day later.
+
+    Returns:
+        (n,) microseconds, in [first_us, first_us + one day), without ``t_offset``.
+
+    >>> day, midnight = 19_000, 86_400
+    >>> scan_ns = np.array([(day * midnight + 60) * 1_000_000_000 + 7_999])
+    >>> on_event_clock(scan_ns, t_offset_us=59_000_000, first_us=0).tolist()
+    [1000007]
+    """
+    return first_us + (time_ns // 1000 - t_offset_us - first_us) % DAY_US
+
+
+def clock_time(time_us: int) -> str:
+    """``HH:MM:SS`` in UTC, from microseconds since some UTC midnight, for a message.
+
+    >>> clock_time(DAY_US + 3_661_000_000)
+    '01:01:01'
+    """
+    seconds = time_us % DAY_US // 1_000_000
+    return f"{seconds // 3600:02d}:{seconds // 60 % 60:02d}:{seconds % 60:02d}"
 
 
 @dataclass(frozen=True)
@@ -70,9 +106,7 @@ class PairedSequence:
     def sort_out(self, window: EventWindow, stride: int) -> tuple[list[int], dict[int, str]]:
         """Which scans are frames, as far as ``ms_to_idx`` tells.
 
-        Args:
-            window: what a frame needs.
-            stride: keep every ``stride``-th scan, counted before any is left out.
+        Every ``stride``-th scan is kept, counted before any is left out.
 
         Returns:
             The numbers of the scans that are frames, and those with too few events → reason. Scans
@@ -97,14 +131,7 @@ class PairedSequence:
         return [i for i in whole if i not in poor], poor
 
     def load(self, frame_id: FrameId, window: EventWindow) -> Frame:
-        """Read one frame.
-
-        Args:
-            frame_id: its ``index`` counts the scans of this sequence.
-            window: which events belong to it.
-
-        Returns:
-            The frame.
+        """Read one frame, whose ``index`` counts the scans of this sequence.
 
         Raises:
             FrameError: the scan or the events cannot be read, or there are too few events.
@@ -145,17 +172,9 @@ def pair(
     scan_time: str,
     motion: SweepMotion | None = None,
 ) -> PairedSequence:
-    """Find the scans of a drive that were taken during a sequence.
+    """Find the scans of a drive that were taken during a sequence; see :class:`PairedSequence`.
 
-    Args:
-        events: of the sequence.
-        bag: of the drive.
-        calibration: of the event camera.
-        scan_time: one of :data:`SCAN_TIMES`.
-        motion: of the bag's scans; see :class:`PairedSequence`.
-
-    Returns:
-        The sequence with its scans.
+    ``scan_time`` is one of :data:`SCAN_TIMES`.
 
     Raises:
         RecordingError: there is no such scan.

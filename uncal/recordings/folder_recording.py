@@ -77,7 +77,6 @@ class FolderRecording:
     """
 
     def __init__(self, drives: Iterable[DriveFolder], stride: int) -> None:
-        """List the drives; no image and no scan is opened."""
         check_stride(stride)
         self.frame_ids: list[FrameId] = []
         self.skipped: dict[str, str] = {}

@@ -76,7 +76,6 @@ class KittiRaw(FolderRecording):
         drives: Sequence[str] | None = None,
         untwist: bool = True,
     ) -> None:
-        """Find the drives and read their calibration; no frame is opened."""
         number = CAMERAS.index(one_of(camera, CAMERAS, "camera"))
         root = existing(root, _REMEDY)
         folders = [root / name[:10] / name for name in choose(find_drives(root), drives, "drives")]

@@ -68,7 +68,6 @@ class KittiOdometry(FolderRecording):
         camera: str = "image_2",
         stride: int = 1,
     ) -> None:
-        """Find the drives and read their calibration; no frame is opened."""
         number = CAMERAS.index(one_of(camera, CAMERAS, "camera"))
         root = existing(root, _REMEDY)
         available = {name: [name] for name in find_sequences(root)}

@@ -51,14 +51,11 @@ _DAMAGE = (
 
 
 class LidarBag:
-    """Random access to the scans of one bag.
+    """Random access to the scans of one ``.bag`` file.
 
     The bag is read once for its index. Afterwards a scan costs one chunk: rosbags finds it by its
     record time. The open file belongs to the process that opened it; pickling leaves it behind
     and a forked worker opens its own, since the two would share one file position.
-
-    Args:
-        path: the ``.bag`` file.
 
     Raises:
         RecordingError: the bag is missing, truncated or without a readable scan.

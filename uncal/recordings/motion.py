@@ -18,9 +18,7 @@ from uncal.errors import FrameError
 REVOLUTION_S = 0.1
 """Time of one revolution of a Velodyne at 10 Hz."""
 
-_FIELDS = 30
-_LINEAR = slice(8, 11)
-_ANGULAR = slice(20, 23)
+_FIELDS, _LINEAR, _ANGULAR = 30, slice(8, 11), slice(20, 23)
 """Of KITTI's OXTS lines: forward, leftward, upward velocity; rates about these axes."""
 
 

@@ -84,11 +84,9 @@ def usual_size(paths: Sequence[Path]) -> tuple[int, int] | None:
 def read_scan(path: Path) -> tuple[NDArray[np.float32], int]:
     """Read a Velodyne scan and drop the points that are not finite.
 
-    Args:
-        path: a file of float32 x, y, z (metres, LiDAR frame) and reflectance, point by point.
-
     Returns:
-        (N, 4) float32 points, N ≥ 1, and how many points were dropped.
+        (N, 4) float32 x, y, z (metres, LiDAR frame) and reflectance, N ≥ 1, and how many points
+        were dropped.
 
     Raises:
         FrameError: the file is missing, empty, truncated, or holds no finite point.

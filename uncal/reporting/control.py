@@ -6,21 +6,18 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 
 from uncal.geometry import DOF_NAMES, DOF_SCALE, DOF_UNITS
 from uncal.metrics.bootstrap import bootstrap_ratio, ratio
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from uncal.models.split_prediction import ControlPrediction
     from uncal.recordings.frame import FrameId
 
 
 def control_table(control: ControlPrediction, mae_mean: Sequence[float]) -> pd.DataFrame:
     """One row per degree of freedom."""
-    import pandas as pd
-
     scale = np.array(DOF_SCALE)
     target, single, blind = (
         values.double().numpy() for values in (control.target, control.single, control.blind)

@@ -11,9 +11,8 @@ from torch import Tensor
 
 from uncal.metrics.pose_error import in_double
 from uncal.uncertainty.conformal.calibrator import IntervalCalibrator
-from uncal.uncertainty.conformal.coverage_law import coverage_band
 from uncal.uncertainty.conformal.intervals import Intervals
-from uncal.uncertainty.conformal.quantile import miscoverage
+from uncal.uncertainty.conformal.quantile import coverage_band, miscoverage
 
 BAND_CONFIDENCE = 0.999
 """Probability with which the reference band holds the coverage of one DoF at one level."""

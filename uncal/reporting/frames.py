@@ -10,14 +10,12 @@ import io
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+
+import pandas as pd
 
 from uncal.errors import UncalError
 from uncal.geometry import DOF_NAMES
 from uncal.reporting.layout import write_whole
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 _KINDS: dict[str, str] = {
     **dict.fromkeys(("dof", "unit", "by", "groups", "frame"), "text"),
@@ -201,8 +199,6 @@ def read_csv(path: Path, schema: Schema) -> pd.DataFrame:
         UncalError: the file cannot be read, is cut off, lacks a column, a value or a DoF, or has a
             value of another kind.
     """
-    import pandas as pd
-
     try:
         content = path.read_text(encoding="utf-8")
         cells = pd.read_csv(io.StringIO(content), dtype=str, keep_default_na=False)

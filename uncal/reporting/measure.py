@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
+import pandas as pd
 import torch
 from torch import Tensor
 
@@ -28,8 +29,6 @@ from uncal.uncertainty.conformal.ellipsoid import EllipsoidCalibrator, log_volum
 from uncal.uncertainty.conformal.quantile import miscoverage
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from uncal.models.split_prediction import ControlPrediction
 
 CURVE_LEVELS: tuple[float, ...] = tuple(float(Fraction(k, 20)) for k in range(1, 20))
@@ -85,7 +84,6 @@ def measure(
 
     Raises:
         UncertaintyError: the predictions or a level allow no interval.
-        NotCalibratedError: the calibrator is not fitted.
         ValueError: no levels, or not one name per sample.
     """
     per_dof = per_dof_table(test, levels)
@@ -134,8 +132,6 @@ def joint_table(
     ellipsoid: tuple[EllipsoidCalibrator, Tensor] | None = None,
 ) -> pd.DataFrame:
     """One row per level: how often the whole pose is held."""
-    import pandas as pd
-
     rows = pd.DataFrame([_joint_row(test, level, ellipsoid) for level in levels])
     frame: pd.DataFrame = rows.assign(n_test=test.n, n_calibration=test.m)
     return frame
@@ -145,8 +141,6 @@ def conditional_table(
     test: Evaluation, levels: Sequence[float], bins: int = TERCILES
 ) -> pd.DataFrame:
     """Coverage within quantile bins: one row per level, kind of split, DoF and bin."""
-    import pandas as pd
-
     size = test.target.abs()
     length = test.target[:, :3].norm(dim=1)[:, None].expand_as(size)
     angle = rotation_angle(pose_to_matrix(test.target))[:, None].expand_as(size)
@@ -196,13 +190,7 @@ def curve_table(test: Evaluation, levels: Sequence[float] = CURVE_LEVELS) -> pd.
 def predictions_table(
     test: Evaluation, levels: Sequence[float], frames: Sequence[str]
 ) -> pd.DataFrame:
-    """One row per frame and DoF, frames outermost, in the order given.
-
-    Raises:
-        ValueError: not one name per sample.
-    """
-    import pandas as pd
-
+    """One row per frame and DoF, frames outermost, in the order given."""
     if len(frames) != test.n:
         raise ValueError(f"{len(frames)} frame names for {test.n} samples; give one each.")
     numbers = {"truth": test.target, "estimate": test.mean, "sigma": test.std}
@@ -222,8 +210,6 @@ def predictions_table(
 
 def _coverage(test: Evaluation, levels: Sequence[float]) -> pd.DataFrame:
     """Empirical coverage and its reference band: one row per level and DoF, levels outermost."""
-    import pandas as pd
-
     parts = []
     for level in levels:
         made = test.intervals(level)

@@ -8,9 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from uncal.events.pixel_map import PixelMap
 from uncal.events.representations import Histogram
-from uncal.events.stream import Events
+from uncal.events.stream import Events, PixelMap
 
 NEAR_M = 4.0
 FAR_M = 60.0
@@ -46,24 +45,13 @@ def draw_events(events: Events, size: tuple[int, int], pixel_map: PixelMap) -> N
 
 
 def draw_points(
-    image: NDArray[np.uint8],
-    points: NDArray[np.float32],
-    T_cam_lidar: NDArray[np.float64],
-    K: NDArray[np.float64],
-    scale: int,
+    image: NDArray[np.uint8],  # (H, W, 3) RGB
+    points: NDArray[np.float32],  # (N, 3 or more) LiDAR frame, metres
+    T_cam_lidar: NDArray[np.float64],  # (4, 4) extrinsic to project with
+    K: NDArray[np.float64],  # (3, 3) camera matrix of the image
+    scale: int,  # enlargement, so that points do not hide what they should line up with
 ) -> NDArray[np.uint8]:
-    """Project points onto an enlarged image; warm colours are near.
-
-    Args:
-        image: (H, W, 3) uint8 RGB.
-        points: (N, 3 or more) LiDAR frame, metres.
-        T_cam_lidar: (4, 4) extrinsic to project with.
-        K: (3, 3) camera matrix of the image.
-        scale: enlargement, so that points do not hide what they should line up with.
-
-    Returns:
-        (H·scale, W·scale, 3) uint8 RGB.
-    """
+    """Project points onto an enlarged image, (H·scale, W·scale, 3) RGB; warm colours are near."""
     height, width = image.shape[:2]
     canvas = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
     in_camera = points[:, :3] @ T_cam_lidar[:3, :3].T + T_cam_lidar[:3, 3]

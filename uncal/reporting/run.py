@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+import pandas as pd
 import torch
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
@@ -21,9 +21,6 @@ from uncal.reporting.frames import PREDICTIONS, RESULTS, TABLES, Schema, read_cs
 from uncal.reporting.published.paper import MCD_ALONE, MCD_CP
 from uncal.reporting.run_record import NAME, read_record
 from uncal.uncertainty.conformal.calibrator import IntervalCalibrator
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 UNKNOWN = "not recorded"
 

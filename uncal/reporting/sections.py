@@ -5,20 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import TYPE_CHECKING
 
+import pandas as pd
 import torch
 
 from uncal.geometry import DOF_NAMES, DOF_UNITS
 from uncal.metrics.bootstrap import CONFIDENCE, RESAMPLES
-from uncal.metrics.calibration_curve import calibration_error
+from uncal.metrics.functional import calibration_error
 from uncal.reporting.control import blind_dofs
 from uncal.reporting.evaluation import Guarantee
 from uncal.reporting.layout import Grid, length, markdown_lines, number
 from uncal.uncertainty.conformal.quantile import samples_needed
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 DOF_HEADINGS = [f"{dof} ({unit})" for dof, unit in zip(DOF_NAMES, DOF_UNITS, strict=True)]
 

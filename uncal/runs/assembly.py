@@ -32,9 +32,9 @@ from uncal.models.module import CalibrationModule
 from uncal.recordings.frame import Recording
 from uncal.runs.checkpoint import WholeCheckpoints
 from uncal.settings.guard import names_the_setting
-from uncal.simulation.cache import ensure_simulated
 from uncal.simulation.manifest import MANIFEST_NAME
 from uncal.simulation.settings import SimulationSettings
+from uncal.simulation.writer import ensure_simulated
 from uncal.uncertainty.dropout.layers import dropout_rates, insert_dropout
 
 log = logging.getLogger(__name__)
@@ -88,14 +88,9 @@ def build_data(config: DictConfig) -> CalibrationDataModule:
 
 
 def recorded_size(recording: Recording, focal_px: float | None) -> tuple[int, int]:
-    """The size that the images of all rigs cover, in multiples of 8 pixels.
+    """(H, W) that the images of all rigs cover at a focal length (None: their own), in 8 pixels.
 
-    Args:
-        recording: of which one readable frame per rig is looked at.
-        focal_px: focal length that they are brought to, pixels; None: their own.
-
-    Returns:
-        (H, W) in pixels.
+    One readable frame per rig is looked at.
 
     Raises:
         RecordingError: no frame can be read.
@@ -134,11 +129,7 @@ def say_simulated(config: DictConfig) -> None:
 
 
 def check_pairing(config: DictConfig, inputs: InputSettings) -> None:
-    """Make sure that the dataset has what the model reads.
-
-    Raises:
-        ConfigurationError: it has not.
-    """
+    """Make sure that the dataset has what the model reads, or say what to choose instead."""
     modality = choice("dataset.modality", config.dataset.get("modality", "rgb"), CAMERAS)
     if inputs.camera in (None, modality):
         return
@@ -153,8 +144,7 @@ def check_pairing(config: DictConfig, inputs: InputSettings) -> None:
 def build_module(config: DictConfig) -> CalibrationModule:
     """Make the network and the LightningModule around it, untrained.
 
-    Returns:
-        The module; its ``recipe`` goes into every checkpoint.
+    Its ``recipe`` goes into every checkpoint.
 
     Raises:
         ConfigurationError: a setting is unknown or out of its range.
@@ -180,10 +170,7 @@ def build_module(config: DictConfig) -> CalibrationModule:
         mask_seed=dropout.seed,
     )
     _try_out(module, config)
-    module.recipe = cast(
-        "dict[str, object]",
-        {key: _plain(config[key]) for key in RECIPE},
-    )
+    module.recipe = {key: _plain(config[key]) for key in RECIPE}
     return module
 
 
@@ -273,14 +260,7 @@ def build_trainer(config: DictConfig) -> lightning.Trainer:
 
 
 def refuse_missing_gpu(accelerator: str) -> None:
-    """Say in the words of the settings that there is no such device.
-
-    Args:
-        accelerator: as lightning.Trainer takes it.
-
-    Raises:
-        ConfigurationError: it asks for a GPU, and torch finds none.
-    """
+    """Say in the words of the settings that torch finds no such device."""
     there = {"cuda": torch.cuda.is_available(), "mps": torch.backends.mps.is_available()}
     there["gpu"] = any(there.values())
     if not there.get(accelerator, True):
@@ -308,14 +288,7 @@ def validation_interval(epochs: int, validations: int) -> int:
 
 
 def image_size(value: object) -> tuple[int, int]:
-    """Check a configured image size.
-
-    Returns:
-        (H, W) in pixels.
-
-    Raises:
-        ConfigurationError: not two integers of at least 32.
-    """
+    """(H, W) in pixels of a setting, which must be two integers of at least 32."""
     numbers = list(cast("list[int]", value)) if OmegaConf.is_list(value) else []
     if len(numbers) != 2 or any(not isinstance(n, int) or n < 32 for n in numbers):
         raise ConfigurationError(

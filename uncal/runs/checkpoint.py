@@ -23,12 +23,9 @@ OWN: tuple[str, ...] = ("calibrator.", "ellipsoid.", "masks.", "monitor.")
 
 
 def load_weights(module: CalibrationModule, path: Path, calibrated: bool) -> None:
-    """Load weights.
+    """Load a checkpoint, or shipped weights, of the same network.
 
-    Args:
-        module: of the same network.
-        path: a checkpoint, or shipped weights.
-        calibrated: whether their calibrator is of the module's kind, and wanted.
+    ``calibrated``: their calibrator is of the module's kind, and wanted.
 
     Raises:
         ConfigurationError: the weights are another network's.
@@ -43,12 +40,7 @@ def load_weights(module: CalibrationModule, path: Path, calibrated: bool) -> Non
 
 
 def check_start(module: CalibrationModule, path: Path, epochs: int) -> None:
-    """Refuse a checkpoint that a training of this network cannot go on from.
-
-    Args:
-        module: of the training.
-        path: what ``ckpt=`` names.
-        epochs: of the training as a whole.
+    """Refuse a checkpoint (``ckpt=``) that a training of so many epochs cannot go on from.
 
     Raises:
         ConfigurationError: no such file, not a checkpoint of this project, another network's,
@@ -79,11 +71,7 @@ def check_start(module: CalibrationModule, path: Path, epochs: int) -> None:
 
 
 def start_from(module: CalibrationModule, path: Path) -> None:
-    """Begin a training with weights instead of random numbers.
-
-    Args:
-        module: of the same network, not trained yet.
-        path: a checkpoint, or shipped weights.
+    """Begin a training with a checkpoint's, or shipped, weights instead of random numbers.
 
     Raises:
         ConfigurationError: the weights are another network's.
@@ -93,23 +81,12 @@ def start_from(module: CalibrationModule, path: Path) -> None:
 
 
 def save_weights(module: CalibrationModule, path: Path) -> None:
-    """Write a checkpoint for :mod:`uncal.evaluate`: weights, calibrator and settings of this run.
-
-    Args:
-        module: trained and calibrated.
-        path: the checkpoint; its folder is made if it is not there.
-    """
+    """Write a checkpoint for :mod:`uncal.evaluate`: weights, calibrator, settings of this run."""
     save_whole({"state_dict": module.state_dict(), "uncal_recipe": module.recipe}, path)
 
 
 def read_recipe(path: Path) -> DictConfig:
-    """The settings that weights were trained with.
-
-    Args:
-        path: a checkpoint, or shipped weights.
-
-    Returns:
-        The parts of the configuration named by :data:`uncal.runs.assembly.RECIPE`.
+    """The settings (:data:`uncal.runs.assembly.RECIPE`) that a checkpoint's weights came from.
 
     Raises:
         ConfigurationError: no such file, or not of this project.
@@ -149,12 +126,7 @@ def _load(module: CalibrationModule, state: dict[str, Tensor], path: Path) -> No
 
 
 def save_whole(content: object, path: Path) -> None:
-    """``torch.save``, after which the file is new as a whole, or as it was.
-
-    Args:
-        content: what torch can save.
-        path: the file; its folder is made if it is not there.
-    """
+    """``torch.save``, after which the file is new as a whole, or as it was; makes its folder."""
     # Of a full disk torch's own writer says nothing that could be understood.
     buffer = io.BytesIO()
     torch.save(content, buffer)
@@ -171,10 +143,7 @@ class WholeCheckpoints(TorchCheckpointIO):
     """
 
     def save_checkpoint(
-        self,
-        checkpoint: dict[str, Any],
-        path: str | Path,
-        storage_options: object = None,
+        self, checkpoint: dict[str, Any], path: str | Path, storage_options: object = None
     ) -> None:
         """Write; options of remote file systems are not used."""
         save_whole(checkpoint, Path(path))

@@ -1,19 +1,28 @@
-"""``simulation.json``: what a simulated folder is, and the mark that it is ours to replace."""
+"""``simulation.json``: what a simulated folder is, and the mark that it is ours to replace.
+
+A layout prepares a rig, its pieces are written by any number of processes, and it is finished, all
+in a folder ``partial`` that mirrors the root; then its folders move to the root.
+"""
 
 from __future__ import annotations
 
 import json
 import logging
+import re
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, TypeAlias
 
 from uncal.errors import RecordingError
-from uncal.simulation.formats.layouts import PARTIAL_PREFIX, is_own_folder, layout_of
+from uncal.simulation.formats.kitti_folder import KittiLayout
 from uncal.simulation.settings import VERSION, SimulationSettings
 from uncal.system.locking import locked, other_readers
+
+if TYPE_CHECKING:
+    from uncal.simulation.formats.dsec_folder import DsecLayout
 
 log = logging.getLogger(__name__)
 
@@ -21,6 +30,31 @@ MANIFEST_NAME = "simulation.json"
 LOCK_NAME = ".simulation.lock"
 DRAFT_NAME = f".{MANIFEST_NAME}.new"
 GENERATOR = "uncal.simulation"
+
+Layout: TypeAlias = "KittiLayout | DsecLayout"
+
+PARTIAL_PREFIX = ".partial_"
+
+_FOLDER = re.compile(r"\d{4}_\d{2}_\d{2}|sim_\d{4}_[a-z]|data/sim_\d{4}")
+
+
+def layout_of(settings: SimulationSettings) -> Layout:
+    """DSEC's layout for an event camera, KITTI's for an ordinary one."""
+    if settings.events is None:
+        return KittiLayout(settings)
+    # Only here: HDF5 and ROS take a second to load, in every process.
+    from uncal.simulation.formats.dsec_folder import DsecLayout
+
+    return DsecLayout(settings)
+
+
+def is_own_folder(folder: str) -> bool:
+    """Whether a simulation may write, and so replace, a folder of this name.
+
+    >>> [is_own_folder(name) for name in ("2041_01_02", "data/sim_0007", "../thesis", "data")]
+    [True, True, False, False]
+    """
+    return _FOLDER.fullmatch(folder) is not None
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,7 @@ from pathlib import Path
 
 from uncal.simulation.formats.drive import Piece, build_scene
 from uncal.simulation.formats.kitti_folder import KittiLayout, scan_file
-from uncal.simulation.formats.layouts import PARTIAL_PREFIX
-from uncal.simulation.manifest import missing_rigs
+from uncal.simulation.manifest import PARTIAL_PREFIX, missing_rigs
 from uncal.simulation.scene.trajectory import vehicle_pose
 from uncal.simulation.sensors.lidar import Lidar
 from uncal.simulation.sensors.rig import draw_rig

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from uncal.errors import ConfigurationError
-from uncal.recordings.dsec_sequences import TEST, TRAIN, drive_of
+from uncal.recordings.dsec_layout import TEST, TRAIN, drive_of
 from uncal.recordings.frame import FrameId
 from uncal.settings.rules import number, require
 from uncal.splits.splits import SPLITS, by_name, seeded_hash, split_frames
@@ -78,8 +78,7 @@ def paper_split(
     Args:
         with_lidar: names of the sequences that have frames. Names in neither official list (a
             simulated stand-in) count as training sequences.
-        held_out: share of the training sequences to hold out where there is no official test
-            sequence, in (0, 1); rounded up to whole drives.
+        held_out: share to hold out, in (0, 1); rounded up to whole drives.
         seed: another seed, other drives held out.
 
     Returns:

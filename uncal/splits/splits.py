@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from typing import cast
 
 from uncal.errors import ConfigurationError
 from uncal.recordings.frame import FrameId
 from uncal.settings.rules import listed, number, require, words
-from uncal.splits.blocks import blocks
 
 SPLITS: tuple[str, ...] = ("train", "validation", "uncertainty_calibration", "test")
 """The four splits, in the order of their fractions."""
@@ -18,6 +19,80 @@ UNITS: tuple[str, ...] = ("frame", "block", "drive", "rig")
 """What may be kept whole: a frame (near-duplicates leak), a block, a drive, a rig."""
 
 FRACTIONS = listed(number(0, 1), len(SPLITS), total=1)
+
+BLOCK = number(1, 1_000_000, whole=True)
+"""Frames of a block."""
+
+
+def blocks(frame_ids: Iterable[FrameId], length: int | None) -> dict[str, list[FrameId]]:
+    """Cut every drive into blocks of ``length`` frames.
+
+    Frames count by their position among those of their drive, so that missing ones do not matter.
+    What remains at the end of a drive is a block of its own; shorter than half a block it joins the
+    one before, if there is one.
+
+    Returns:
+        Name of the block, ``rig/drive/block000``, → its frames by number.
+
+    Raises:
+        ConfigurationError: ``length`` is not a positive whole number.
+
+    >>> cut = blocks([FrameId("rig", "drive", index) for index in range(9)], length=4)
+    >>> {name: [frame.index for frame in frames] for name, frames in cut.items()}
+    {'rig/drive/block000': [0, 1, 2, 3], 'rig/drive/block001': [4, 5, 6, 7, 8]}
+    """
+    return {
+        f"{rig}/{drive}/block{number:03d}": frames
+        for (rig, drive), members in _cut(frame_ids, length).items()
+        for number, frames in enumerate(members)
+    }
+
+
+def leave_gaps(
+    splits: Mapping[str, list[FrameId]], length: int | None, gap: int
+) -> dict[str, list[FrameId]]:
+    """Leave out the last ``gap`` frames of every block that the next one does not join.
+
+    Raises:
+        ConfigurationError: ``gap`` is negative, or so large that it could take a whole block.
+    """
+    require("split.block_frames", length, BLOCK)
+    if not isinstance(gap, int) or gap < 0 or (gap > 0 and 2 * gap >= cast(int, length)):
+        raise ConfigurationError(
+            f"split.block_gap={gap}: expected 0 or more frames, and fewer than half a block "
+            f"(split.block_frames={length}): lower it, or raise split.block_frames"
+        )
+    if gap == 0:
+        return dict(splits)
+    split_of = {frame: name for name, frames in splits.items() for frame in frames}
+    out: set[FrameId] = set()
+    for members in _cut(split_of, length).values():
+        for block, following in itertools.pairwise(members):
+            if split_of[block[-1]] != split_of[following[0]]:
+                out.update(block[-gap:])
+    return {
+        name: [frame for frame in frames if frame not in out] for name, frames in splits.items()
+    }
+
+
+def _cut(
+    frame_ids: Iterable[FrameId], length: int | None
+) -> dict[tuple[str, str], list[list[FrameId]]]:
+    """(Rig, drive) → its blocks in order."""
+    require("split.block_frames", length, BLOCK)
+    step = cast(int, length)
+    drives: dict[tuple[str, str], list[FrameId]] = {}
+    for frame_id in frame_ids:
+        drives.setdefault((frame_id.rig, frame_id.drive), []).append(frame_id)
+    cut = {}
+    for drive, frames in drives.items():
+        frames.sort(key=lambda frame_id: frame_id.index)
+        starts = list(range(0, len(frames), step))
+        if len(starts) > 1 and 2 * (len(frames) - starts[-1]) < step:
+            starts.pop()
+        ends = [*starts[1:], len(frames)]
+        cut[drive] = [frames[start:end] for start, end in zip(starts, ends, strict=True)]
+    return cut
 
 
 def split_frames(
@@ -43,7 +118,7 @@ def split_frames(
         fractions: of all frames, one per split, summing to 1.
         seed: another seed, another split.
         block_frames: of ``by="block"``, how many consecutive frames of a drive are a block; see
-            :func:`uncal.splits.blocks.blocks`.
+            :func:`uncal.splits.splits.blocks`.
 
     Returns:
         Split → its frames, sorted by rig, drive and number; together exactly ``frame_ids``.

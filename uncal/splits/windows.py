@@ -9,8 +9,7 @@ from typing import Annotated, ClassVar, TypeAlias
 from uncal.recordings.frame import FrameId
 from uncal.settings.group import SettingsGroup
 from uncal.settings.rules import number
-from uncal.splits.blocks import blocks
-from uncal.splits.splits import by_name
+from uncal.splits.splits import blocks, by_name
 
 Unit: TypeAlias = tuple[FrameId, ...]
 """Frames of one drive that share one decalibration; the first gives it its name."""

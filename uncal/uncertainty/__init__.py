@@ -5,25 +5,28 @@ from uncal.errors import (
     PredictorMismatchError,
     UncertaintyError,
 )
-from uncal.uncertainty.conformal.absolute import AbsoluteCalibrator
 from uncal.uncertainty.conformal.calibrator import IntervalCalibrator
-from uncal.uncertainty.conformal.coverage_law import coverage_band, coverage_law
-from uncal.uncertainty.conformal.cqr import QuantileCalibrator
-from uncal.uncertainty.conformal.gaussian import GaussianIntervals
-from uncal.uncertainty.conformal.hierarchical import HierarchicalCalibrator
-from uncal.uncertainty.conformal.mondrian import MondrianCalibrator
-from uncal.uncertainty.conformal.split_conformal import (
-    ConformalCalibrator,
-    Intervals,
+from uncal.uncertainty.conformal.groups import HierarchicalCalibrator, MondrianCalibrator
+from uncal.uncertainty.conformal.intervals import Intervals
+from uncal.uncertainty.conformal.quantile import (
     conformal_quantile,
     conformal_rank,
+    coverage_band,
+    coverage_law,
     miscoverage,
     samples_needed,
+)
+from uncal.uncertainty.conformal.split_conformal import (
+    AbsoluteCalibrator,
+    ConformalCalibrator,
+    GaussianIntervals,
+    QuantileCalibrator,
 )
 from uncal.uncertainty.dropout.fingerprint import PredictorIdentity, fingerprint
 from uncal.uncertainty.dropout.layers import dropout_layers, dropout_rates, insert_dropout
 from uncal.uncertainty.dropout.masks import FixedMasks
-from uncal.uncertainty.dropout.mc_dropout import MCDropout, Prediction
+from uncal.uncertainty.dropout.mc_dropout import MCDropout
+from uncal.uncertainty.dropout.prediction import Prediction
 
 __all__ = [
     "AbsoluteCalibrator",

@@ -1,17 +1,20 @@
-"""Trained weights, found again or trained now."""
+"""Trained weights, found again or trained now; they stay, whatever goes wrong after it."""
 
 from __future__ import annotations
 
 import logging
 import os
+import shlex
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
 from lightning.pytorch.utilities import rank_zero_only
 
+from uncal.errors import DivergenceError, UncalError
 from uncal.reporting.run_record import commit_of_code
 from uncal.weights.store import Trained, WeightStore
 
@@ -80,10 +83,10 @@ def load_or_train(
     if _is_follower():
         # Its leader holds the lock and waits for it; both see the same files.
         found = None if retrain else store.find()
-        if found is None:
-            start = None if retrain else store.interrupted()
-            return Weights(train(start), store.fingerprint, False, None)
-        return Weights(store.checkpoint, store.fingerprint, True, found)
+        if found is not None:
+            return Weights(store.checkpoint, store.fingerprint, True, found)
+        start = None if retrain else store.interrupted()
+        return Weights(train(start), store.fingerprint, False, None)
     with store.locked():
         found = None if retrain else store.find()
         if found is not None:
@@ -110,3 +113,50 @@ def load_or_train(
 def _is_follower() -> bool:
     """Whether Lightning started this process to help another one."""
     return int(getattr(rank_zero_only, "rank", 0)) > 0
+
+
+@contextmanager
+def stays_trained(checkpoint: Path) -> Iterator[None]:
+    """Say which command finishes the job if what follows the training fails.
+
+    >>> with stays_trained(Path("best.ckpt")):
+    ...     raise UncalError("interval.levels=[1.0]: expected …")
+    Traceback (most recent call last):
+    uncal.errors.UncalError: interval.levels=[1.0]: expected …
+    The training is done and kept. With that put right, this finishes without training:
+      python -m uncal.evaluate ckpt=best.ckpt
+    """
+    try:
+        yield
+    except DivergenceError:
+        raise
+    except UncalError as error:
+        raise UncalError(f"{error}\n{how_to_finish(checkpoint)}") from error
+    except Exception:
+        log.error(how_to_finish(checkpoint))  # the traceback follows by itself
+        raise
+
+
+def how_to_finish(checkpoint: Path) -> str:
+    """The command that makes the table of trained weights.
+
+    >>> print(how_to_finish(Path("out/a b/best.ckpt")).splitlines()[1])
+      python -m uncal.evaluate 'ckpt="out/a b/best.ckpt"'
+    """
+    return (
+        "The training is done and kept. With that put right, this finishes without training:\n"
+        f"  python -m uncal.evaluate {override('ckpt', checkpoint)}"
+    )
+
+
+def override(key: str, path: Path) -> str:
+    """A path as a word of a command line, quoted for Hydra and for the shell.
+
+    >>> print(override("ckpt", Path("out/a=1/best.ckpt")))
+    'ckpt="out/a=1/best.ckpt"'
+    """
+    text = str(path)
+    if not all(letter.isalnum() or letter in "/._-" for letter in text):
+        escaped = text.replace('"', '\\"')
+        text = f'"{escaped}"'
+    return shlex.quote(f"{key}={text}")

@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 
 from uncal.geometry import DOF_NAMES
 from uncal.reporting.evaluation import band_caveat
-from uncal.reporting.figures.coverage import calibration_curves
+from uncal.reporting.figures.run_figures import calibration_curves
 from uncal.reporting.figures.style import DOF_COLOURS, DOF_LINES, DOF_MARKERS
 from uncal.reporting.frames import CURVE
 

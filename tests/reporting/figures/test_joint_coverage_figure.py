@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from uncal.reporting.figures.coverage import joint_coverage
+from uncal.reporting.figures.run_figures import joint_coverage
 
 
 def rows(*levels: tuple[float, float, float]) -> pd.DataFrame:

@@ -12,15 +12,15 @@ import pytest
 from numpy.typing import NDArray
 
 from uncal.recordings.dsec import Dsec
-from uncal.simulation.cache import ensure_simulated
 from uncal.simulation.formats.drive import Piece, build_scene
-from uncal.simulation.formats.dsec_drive import sweep_times
+from uncal.simulation.formats.dsec_folder import sweep_times
 from uncal.simulation.scene.trajectory import pose_around, turn_rates, vehicle_pose
 from uncal.simulation.seeding import Stream, generator
+from uncal.simulation.sensors.event_camera import LuminanceMeter
 from uncal.simulation.sensors.event_optics import draw_optics
-from uncal.simulation.sensors.luminance import LuminanceMeter
 from uncal.simulation.sensors.rig import draw_rig
 from uncal.simulation.settings import SimulationSettings
+from uncal.simulation.writer import ensure_simulated
 
 MakeSettings = Callable[..., SimulationSettings]
 

@@ -21,11 +21,11 @@ from rosbags.typesys import Stores, get_typestore
 
 from uncal.recordings.dsec import Dsec
 from uncal.simulation import writer
-from uncal.simulation.cache import ensure_simulated
-from uncal.simulation.formats.dsec_drive import sweep_times
+from uncal.simulation.formats.dsec_folder import sweep_times
 from uncal.simulation.manifest import LOCK_NAME, Manifest
 from uncal.simulation.sensors.rig import draw_rig
 from uncal.simulation.settings import SimulationSettings
+from uncal.simulation.writer import ensure_simulated
 
 MakeSettings = Callable[..., SimulationSettings]
 DAY_US = 86_400_000_000

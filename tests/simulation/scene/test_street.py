@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from uncal.simulation.scene.meshes import Mesh
-from uncal.simulation.scene.sky import draw_sky
 from uncal.simulation.scene.street import VERGE_M, Street, add_ground, draw_street
 from uncal.simulation.scene.textures import build_library
-from uncal.simulation.scene.triangle_scene import Scene
+from uncal.simulation.scene.triangle_scene import Scene, draw_sky
 from uncal.simulation.settings import SimulationSettings
 
 FLAT = (0.0, 100.0, 0.0)

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from uncal.simulation.scene.meshes import Mesh, Surfaces
-from uncal.simulation.scene.sky import Sky
 from uncal.simulation.scene.textures import SIZE, TextureLibrary
-from uncal.simulation.scene.triangle_scene import NOTHING, Scene
+from uncal.simulation.scene.triangle_scene import NOTHING, Scene, Sky
 
 
 def flat_texture() -> TextureLibrary:

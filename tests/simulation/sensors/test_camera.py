@@ -8,9 +8,8 @@ from numpy.typing import NDArray
 
 from uncal.simulation.rigid import inverse
 from uncal.simulation.scene.meshes import Mesh, Surfaces
-from uncal.simulation.scene.sky import Sky
 from uncal.simulation.scene.textures import SIZE, TextureLibrary
-from uncal.simulation.scene.triangle_scene import Scene
+from uncal.simulation.scene.triangle_scene import Scene, Sky
 from uncal.simulation.sensors.camera import Camera
 from uncal.simulation.sensors.rig import CAMERA_FROM_LIDAR_AXES
 from uncal.simulation.settings import CameraSettings, SimulationSettings

@@ -13,8 +13,7 @@ from uncal.simulation.scene.palette import LUMINANCE
 from uncal.simulation.scene.trajectory import pose_around, turn_rates, vehicle_pose
 from uncal.simulation.scene.triangle_scene import Scene
 from uncal.simulation.sensors.camera import Camera
-from uncal.simulation.sensors.event_camera import EventCamera
-from uncal.simulation.sensors.luminance import LuminanceMeter
+from uncal.simulation.sensors.event_camera import EventCamera, LuminanceMeter
 from uncal.simulation.sensors.rig import Rig, draw_rig
 from uncal.simulation.settings import CameraSettings, SimulationSettings
 

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from uncal.simulation.scene.meshes import Mesh, Surfaces
-from uncal.simulation.scene.sky import draw_sky
 from uncal.simulation.scene.textures import build_library
-from uncal.simulation.scene.triangle_scene import Scene
+from uncal.simulation.scene.triangle_scene import Scene, draw_sky
 from uncal.simulation.sensors.lidar import REVOLUTION_S, Lidar
 from uncal.simulation.settings import LidarSettings, SimulationSettings
 

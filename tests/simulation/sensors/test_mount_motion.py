@@ -20,7 +20,6 @@ from uncal.recordings.dsec import Dsec
 from uncal.recordings.frame import Frame
 from uncal.recordings.kitti import KittiRaw
 from uncal.settings.configuration import CONFIG_DIR
-from uncal.simulation.cache import ensure_simulated
 from uncal.simulation.formats.drive import Piece, build_scene
 from uncal.simulation.formats.kitti_folder import KittiLayout
 from uncal.simulation.rigid import Matrix, inverse, pose_matrix
@@ -30,6 +29,7 @@ from uncal.simulation.sensors.mount_motion import TRUTH_NAME, lidar_motion, read
 from uncal.simulation.sensors.rig import draw_rig
 from uncal.simulation.sensors.view import View
 from uncal.simulation.settings import SimulationSettings
+from uncal.simulation.writer import ensure_simulated
 
 MakeSettings = Callable[..., SimulationSettings]
 

@@ -9,7 +9,7 @@ from uncal.simulation.scene.meshes import Array
 from uncal.simulation.scene.trajectory import vehicle_pose
 from uncal.simulation.scene.triangle_scene import Numbers, Scene
 from uncal.simulation.sensors.rig import draw_rig
-from uncal.simulation.sensors.visibility import visible
+from uncal.simulation.sensors.view import visible
 from uncal.simulation.settings import SimulationSettings
 
 

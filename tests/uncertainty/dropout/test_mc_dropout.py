@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 from uncal.errors import ConfigurationError
 from uncal.uncertainty import MCDropout, UncertaintyError
-from uncal.uncertainty.dropout.nested import iterate_tensors
+from uncal.uncertainty.dropout.replicated import iterate_tensors
 
 
 class _Convolutional(nn.Module):

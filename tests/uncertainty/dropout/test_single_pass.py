@@ -1,9 +1,8 @@
 import torch
 from torch import nn
 
-from uncal.uncertainty.conformal.absolute import AbsoluteCalibrator
-from uncal.uncertainty.dropout.mc_dropout import MCDropout
-from uncal.uncertainty.dropout.single_pass import SinglePass
+from uncal.uncertainty.conformal.split_conformal import AbsoluteCalibrator
+from uncal.uncertainty.dropout.mc_dropout import MCDropout, SinglePass
 
 
 def network() -> nn.Module:

@@ -16,11 +16,11 @@ from uncal.errors import ConfigurationError
 from uncal.geometry.transforms import DOF_NAMES
 from uncal.recordings.frame import Frame
 from uncal.recordings.kitti import KittiRaw
-from uncal.simulation.cache import ensure_simulated
 from uncal.simulation.faults import Fault
 from uncal.simulation.moved import ensure_moved
 from uncal.simulation.sensors.mount_motion import read_truth
 from uncal.simulation.settings import MotionSettings, SimulationSettings
+from uncal.simulation.writer import ensure_simulated
 
 STILL, STEP, FAULT, BLIND = "still", "step", "fault", "blind"
 

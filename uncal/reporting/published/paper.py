@@ -6,14 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
-from typing import TYPE_CHECKING
 
+import pandas as pd
 import yaml  # type: ignore[import-untyped]
 
 from uncal.geometry import DOF_NAMES, DOF_UNITS
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 MCD_CP = "MC dropout + conformal"
 MCD_ALONE = "MC dropout alone, normal quantiles"
@@ -62,8 +59,6 @@ def published_paper() -> PublishedPaper:
     >>> published_paper().table(1).iloc[0][["data", "dof", "metric", "text"]].tolist()
     ['real KITTI', 'X', 'picp', '89.4']
     """
-    import pandas as pd
-
     content = yaml.safe_load(files(__package__).joinpath("wacv2025.yaml").read_text("utf-8"))
     first = content.pop("table_1")
     levels = [float(level) for level in first.pop("levels").split()]

@@ -6,14 +6,12 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 from uncal.simulation.scene.buildings import add_buildings
-from uncal.simulation.scene.cars import add_cars
-from uncal.simulation.scene.furniture import add_furniture
+from uncal.simulation.scene.furniture import add_cars, add_furniture
 from uncal.simulation.scene.meshes import Mesh
-from uncal.simulation.scene.sky import draw_sky
 from uncal.simulation.scene.street import Street, add_ground, draw_street
 from uncal.simulation.scene.textures import TextureLibrary, build_library
 from uncal.simulation.scene.trajectory import distance_along
-from uncal.simulation.scene.triangle_scene import Scene
+from uncal.simulation.scene.triangle_scene import Scene, draw_sky
 from uncal.simulation.seeding import Stream, generator
 from uncal.simulation.settings import SimulationSettings
 
@@ -26,19 +24,12 @@ SEEN_ABREAST_M = 40.0
 
 @dataclass(frozen=True)
 class Piece:
-    """Consecutive frames of one drive: the unit of work of one process.
-
-    Attributes:
-        rig: number of the rig.
-        drive: number of the drive within the rig.
-        first: first frame.
-        last: one past the last frame.
-    """
+    """Consecutive frames of one drive: the unit of work of one process."""
 
     rig: int
-    drive: int
+    drive: int  # within the rig
     first: int
-    last: int
+    last: int  # one past the last frame
 
 
 @lru_cache(maxsize=1)

@@ -44,7 +44,7 @@ def drive_name(date: str, drive: int) -> str:
 
 @dataclass(frozen=True)
 class KittiLayout:
-    """KITTI raw: a date folder per rig; see :mod:`uncal.simulation.formats.layouts`."""
+    """KITTI raw: a date folder per rig; see :mod:`uncal.simulation.manifest`."""
 
     settings: SimulationSettings
 

@@ -10,8 +10,7 @@ from uncal.simulation.rigid import Matrix
 from uncal.simulation.scene.meshes import Array
 from uncal.simulation.scene.palette import LUMINANCE
 from uncal.simulation.scene.triangle_scene import NOTHING, Numbers, Scene
-from uncal.simulation.sensors.view import View
-from uncal.simulation.sensors.visibility import samples
+from uncal.simulation.sensors.view import View, samples
 from uncal.simulation.settings import CameraSettings
 
 MEAN_LUMINANCE = 0.3

@@ -18,7 +18,6 @@ FULL_POWER_RANGE_M = 30.0
 
 DETECTABLE = 0.012
 
-
 REVOLUTION_S = 0.1
 """Time of one revolution."""
 
@@ -29,18 +28,10 @@ class Lidar:
     def __init__(
         self,
         settings: LidarSettings,
-        elevations: NDArray[np.float64],
-        range_bias: NDArray[np.float64] | None = None,
-        gain: NDArray[np.float64] | None = None,
+        elevations: NDArray[np.float64],  # (beams,) radians
+        range_bias: NDArray[np.float64] | None = None,  # (beams,) metres measured too much
+        gain: NDArray[np.float64] | None = None,  # (beams,) factor on the reflectance; None: 1
     ) -> None:
-        """Prepare the rays.
-
-        Args:
-            settings: azimuths, ranges, noise.
-            elevations: (beams,) radians.
-            range_bias: (beams,) metres that each laser measures too much; None: nothing.
-            gain: (beams,) factor on the reflectance that each laser reports; None: 1.
-        """
         self.settings = settings
         steps = max(round(settings.azimuth_fov_deg / settings.azimuth_step_deg), 1)
         azimuth = np.deg2rad((np.arange(steps) - (steps - 1) / 2) * settings.azimuth_step_deg)
@@ -72,14 +63,9 @@ class Lidar:
         The returned power is ρ cosθ / r² (Lambertian target, beam smaller than the target); a
         return is lost with the probability 1 / (1 + (power / threshold)²) and at random. The
         reported reflectance is compensated for range and, as in practice, hardly for incidence.
-
-        Args:
-            scene: the street.
-            T_world_lidar: (4, 4) pose of the LiDAR.
-            rng: draws noise and losses.
-            velocity: (3,) of the LiDAR in world coordinates, metres per second. Every return is
-                reported from where the LiDAR then is, without compensation, as in KITTI raw;
-                None: the whole sweep is taken from one place.
+        With the (3,) velocity of the LiDAR in world coordinates, m/s, every return is reported from
+        where the LiDAR then is, without compensation, as in KITTI raw; without, the whole sweep is
+        taken from its (4, 4) pose.
 
         Returns:
             (N, 4) float32 x, y, z in metres in the LiDAR frame, and reflectance in 0..1.

@@ -13,8 +13,7 @@ from torch import Tensor
 
 from uncal.errors import ConfigurationError, NotCalibratedError, UncertaintyError
 from uncal.uncertainty.conformal.fitted_state import CalibratorState
-from uncal.uncertainty.conformal.inputs import InputChecks, at_least_float32
-from uncal.uncertainty.conformal.intervals import Anchors, Intervals
+from uncal.uncertainty.conformal.intervals import Anchors, InputChecks, Intervals, at_least_float32
 from uncal.uncertainty.conformal.quantile import conformal_rank, miscoverage, warn_too_few
 from uncal.uncertainty.dropout.fingerprint import PredictorIdentity
 
@@ -64,7 +63,6 @@ class IntervalCalibrator(CalibratorState):
         sigma_floor: float = 0.0,
         scales: Sequence[float] | None = None,
     ) -> None:
-        """Make an unfitted calibrator."""
         super().__init__(sigma_floor, scales)
         self._check = InputChecks(names, type(self).__name__)
 
@@ -131,12 +129,7 @@ class IntervalCalibrator(CalibratorState):
     def joint_quantile(
         self, level: float | Fraction, *, groups: Sequence[str] | None = None
     ) -> Tensor:
-        """() q of the joint score max_j s_j / scale_j; (n,) by group; else as :meth:`quantile`.
-
-        Raises:
-            NotCalibratedError: before :meth:`fit` or a load.
-            UncertaintyError: a level outside (0, 1), or no groups where they are needed.
-        """
+        """() q of the joint score max_j s_j / scale_j; (n,) by group; else as :meth:`quantile`."""
         return self._pick(self._alpha(level), joint=True, groups=groups)[..., 0]
 
     def predict(
@@ -177,19 +170,9 @@ class IntervalCalibrator(CalibratorState):
     ) -> Intervals:
         """A box per prediction that holds all D outputs at once at the level.
 
-        Args:
-            mean: (..., D) ŷ.
-            std: (..., D) σ.
-            level: coverage level 1-α of the whole box.
-            groups: one label per row, where the method needs them.
-            bounds: (..., D) lower and upper quantile outputs, where the method needs them.
-            method: "max", one quantile of the largest score of a frame, exact; "bonferroni", each
-                output at level 1 - α/D, which is wider and needs D times the samples.
-
-        Raises:
-            NotCalibratedError: before :meth:`fit` or a load.
-            UncertaintyError: as for :meth:`predict`.
-            ConfigurationError: another method.
+        Arguments and errors are those of :meth:`predict`. The method "max" takes one quantile of
+        the largest score of a frame, and is exact; "bonferroni" takes each output at level 1 - α/D,
+        which is wider and needs D times the samples; another is a ConfigurationError.
         """
         alpha = self._alpha(level)
         if method == "max":

@@ -21,15 +21,7 @@ class CalibratorState(nn.Module):
     Survives ``state_dict``, also into a fresh instance whose buffers are still empty, and loads
     with ``weights_only=True``. ``.to(device)`` moves the buffers; a cast leaves them alone. The
     state of another kind of calibrator is refused: the same scores would mean other intervals.
-
-    Args:
-        sigma_floor: smallest σ to divide by, in the network's own units; a loaded state brings
-            its own.
-        scales: (D,) what one unit of each output's score counts in the joint score; None for
-            ones. A loaded state brings its own too.
-
-    Raises:
-        ConfigurationError: a negative or non-finite floor, or scales that are not positive.
+    Arguments and errors are those of :class:`uncal.uncertainty.IntervalCalibrator`.
     """
 
     kind: ClassVar[str]
@@ -57,7 +49,6 @@ class CalibratorState(nn.Module):
     """uint8, :attr:`kind` in UTF-8."""
 
     def __init__(self, sigma_floor: float, scales: Sequence[float] | None) -> None:
-        """Make the empty buffers."""
         super().__init__()
         if not 0 <= sigma_floor < float("inf"):
             raise ConfigurationError(
@@ -97,10 +88,7 @@ class CalibratorState(nn.Module):
         return PredictorIdentity(weights, int(self.passes), rates, masks)
 
     def check_matches(self, identity: PredictorIdentity) -> None:
-        """Refuse a predictor other than the one that was calibrated.
-
-        Args:
-            identity: the predictor about to be used, ``MCDropout.identity()``.
+        """Refuse a predictor, known by ``MCDropout.identity()``, other than the one calibrated.
 
         Raises:
             NotCalibratedError: before a fit or a load.

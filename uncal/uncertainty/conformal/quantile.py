@@ -1,4 +1,4 @@
-"""The conformal quantile by exact ranks (eq. 4)."""
+"""The conformal quantile by exact ranks (eq. 4), and the coverage that follows from them."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import warnings
 from fractions import Fraction
 
 import torch
+from scipy import stats  # type: ignore[import-untyped]
 from torch import Tensor
 
 
@@ -104,12 +105,7 @@ def warn_too_few(
 ) -> None:
     """Say that m samples allow no finite interval at this level, and how many are missing.
 
-    Args:
-        m: samples at hand.
-        alpha: miscoverage level α of the interval.
-        stacklevel: as of :func:`warnings.warn`.
-        what: what is counted, in words.
-        needed: how many it takes; None for :func:`samples_needed`.
+    ``what`` is counted; ``needed``: how many it takes, None for :func:`samples_needed`.
     """
     needed = samples_needed(alpha) if needed is None else needed
     level = 100 * (1 - Fraction(str(alpha)))
@@ -129,3 +125,52 @@ def _exact(value: float | Fraction, name: str, example: str) -> Fraction:
     if not 0 < exact < 1:
         raise ValueError(f"{name} = {value} is outside (0, 1); give for instance {example}.")
     return exact
+
+
+def coverage_law(n: int, m: int, alpha: float | Fraction) -> stats.distributions.rv_frozen:
+    """Law of the number of covered samples among n test samples: Beta-Binomial(n, k, m+1-k).
+
+    k = ⌈(m+1)(1-α)⌉. Exact for one output, and for a joint box as a whole, when the m + n samples
+    are exchangeable and their scores have no ties, whatever their distribution; ties can only raise
+    the coverage. Within a group that has its own quantile it holds with that group's m and n. With
+    k > m the interval is infinite and all n are covered.
+
+    Args:
+        n: test samples.
+        m: samples in the uncertainty calibration set.
+        alpha: miscoverage level α in (0, 1).
+
+    Raises:
+        ValueError: n or m below 1, or α outside (0, 1).
+
+    >>> float(coverage_law(n=1000, m=999, alpha=0.1).mean())
+    900.0
+    """
+    if n < 1:
+        raise ValueError(f"n = {n} test samples; the covered count needs at least one.")
+    rank = conformal_rank(m, alpha)
+    return stats.binom(n, 1.0) if rank > m else stats.betabinom(n, rank, m + 1 - rank)
+
+
+def coverage_band(
+    n: int, m: int, alpha: float | Fraction, confidence: float = 0.999
+) -> tuple[float, float]:
+    """Equal-tailed band of the coverage that one test set shows with the given probability.
+
+    Each tail beyond the band has at most probability (1 - confidence)/2; the other arguments and
+    errors are those of :func:`coverage_law`.
+
+    Returns:
+        Lowest and highest covered fraction inside the band, both included.
+
+    Raises:
+        ValueError: confidence outside (0, 1).
+
+    >>> coverage_band(n=1000, m=1000, alpha=0.1, confidence=0.998)
+    (0.855, 0.938)
+    """
+    if not 0 < confidence < 1:
+        raise ValueError(f"confidence = {confidence} is outside (0, 1); give for instance 0.999.")
+    law = coverage_law(n, m, alpha)
+    tail = (1 - confidence) / 2
+    return float(law.ppf(tail)) / n, float(law.isf(tail)) / n

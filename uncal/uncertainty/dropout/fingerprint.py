@@ -74,13 +74,7 @@ class PredictorIdentity:
         rates: Mapping[str, float] | None = None,
         masks: str = "",
     ) -> PredictorIdentity:
-        """Describe a network that is asked with ``passes`` stochastic passes.
-
-        Args:
-            network: the network alone.
-            passes: N.
-            rates: p by module name of the dropout layers that are switched on; None for all.
-            masks: digest of the fixed masks, if they are fixed.
+        """Describe a network asked with N passes and these dropout layers on; None: all.
 
         >>> PredictorIdentity.of(nn.Sequential(nn.Linear(1, 1), nn.Dropout(0.25)), 25).rates
         (0.25,)
@@ -89,10 +83,7 @@ class PredictorIdentity:
         return cls(fingerprint(network), passes, tuple(active.values()), masks)
 
     def differences(self, other: PredictorIdentity) -> list[str]:
-        """What keeps another predictor from being this one, in words; empty if nothing does.
-
-        Args:
-            other: the predictor to compare, called "now" in the words.
+        """What keeps another predictor, "now", from being this one, in words; empty if nothing.
 
         >>> PredictorIdentity("ab", 25, (0.1,)).differences(PredictorIdentity("ab", 5, (0.1,)))
         ['passes: 25 then, 5 now']

@@ -39,15 +39,7 @@ def mix(values: Tensor) -> Tensor:
 
 
 def keep_masks(keys: Tensor, size: int, p: float) -> Tensor:
-    """One mask per key: 1 with probability 1-p, else 0.
-
-    Args:
-        keys: (R,) int64, one per mask.
-        size: elements of a mask.
-        p: probability of a zero.
-
-    Returns:
-        (R, size) float32.
+    """(R, size) float32 masks of (R,) int64 keys: 1 with probability 1-p, else 0.
 
     >>> masks = keep_masks(torch.arange(4), 100_000, p=0.25)
     >>> [round(m, 2) for m in masks.mean(1).tolist()]
@@ -81,16 +73,7 @@ def layer_key(name: str, call: int) -> int:
 
 
 def stream_keys(seeds: Tensor, passes: range, layer: int) -> Tensor:
-    """Keys of the masks of some passes.
-
-    Args:
-        seeds: (B,) int64, one per row.
-        passes: numbers of the passes.
-        layer: :func:`layer_key`.
-
-    Returns:
-        (P · B,) int64, passes outermost.
-    """
+    """(P · B,) int64 keys of the masks of P passes, outermost, of rows with (B,) int64 seeds."""
     numbers = torch.arange(passes.start, passes.stop, device=seeds.device)
     return mix(mix(seeds + layer) + numbers[:, None] * _GAMMA).flatten()
 
@@ -120,17 +103,13 @@ class FixedMasks(nn.Module):
     seed: Tensor
 
     def __init__(self, seed: int) -> None:
-        """Keep the seed."""
         super().__init__()
         self.register_buffer("seed", row_seeds(seed, 1)[0])
         self._known: dict[tuple[str, int], tuple[float, Tensor]] = {}
         self._drawn_from: tuple[int, torch.device] | None = None
 
     def of(self, layer: str, call: int, passes: int, size: int, p: float) -> Tensor:
-        """The masks of one layer, scaled by 1/(1-p).
-
-        Returns:
-            (N, size) float32.
+        """(N, size) float32 masks of one layer, scaled by 1/(1-p).
 
         Raises:
             UncertaintyError: the layer was met with another size before.

@@ -14,9 +14,8 @@ from uncal.uncertainty.dropout.layers import dropout_layers, dropout_rates, only
 from uncal.uncertainty.dropout.masks import FixedMasks, row_seeds
 from uncal.uncertainty.dropout.passes import Arguments, Passes
 from uncal.uncertainty.dropout.prediction import Prediction
+from uncal.uncertainty.dropout.replicated import iterate_tensors
 from uncal.uncertainty.dropout.stochastic_layers import StochasticLayers
-
-__all__ = ["MCDropout", "Prediction"]
 
 STRATEGIES = ("auto", "shared", "batch", "loop")
 
@@ -73,7 +72,6 @@ class MCDropout:
         select: Sequence[str] | None = None,
         keep_samples: bool = False,
     ) -> None:
-        """Check the settings; the network is looked at when called."""
         if passes < 2:
             raise ConfigurationError(
                 f"{passes} stochastic passes give no spread; set at least 2 (the paper: 25)."
@@ -96,11 +94,7 @@ class MCDropout:
         self._chosen: dict[tuple[object, ...], tuple[str, int]] = {}
 
     def identity(self, passes: int | None = None) -> PredictorIdentity:
-        """What a calibrator remembers of this predictor, and compares before use.
-
-        Args:
-            passes: of :meth:`Prediction.first`; None: all.
-        """
+        """What a calibrator remembers of this predictor (or its first passes) and compares."""
         return PredictorIdentity.of(
             self.network,
             passes or self.passes,
@@ -160,11 +154,7 @@ class MCDropout:
     def sampler(
         self, *args: object, seed: int | Sequence[int] | None = None, **kwargs: object
     ) -> Callable[[], Tensor]:
-        """The passes alone, to be run again and again on the same tensors (as a CUDA graph, say).
-
-        Returns:
-            A function that gives the (N, B, D) passes.
-        """
+        """What gives the (N, B, D) passes of the same tensors again and again (as a CUDA graph)."""
         return self._sampler(Arguments.of(args, kwargs), seed, 0)
 
     def _sampler(
@@ -257,3 +247,32 @@ def _plain(network: nn.Module) -> nn.Module:
     """The network inside torch.compile's wrapper, whose compiled code knows no masks."""
     inner = getattr(network, "_orig_mod", network)
     return inner if isinstance(inner, nn.Module) else network
+
+
+class SinglePass(MCDropout):
+    """A network asked once with all dropout off; stands where MC dropout stands, with σ = 0.
+
+    For intervals that need no σ: from absolute errors, or from a quantile head.
+
+    >>> network = nn.Sequential(nn.Linear(3, 8), nn.Dropout(0.5), nn.Linear(8, 2))
+    >>> prediction = SinglePass(network)(torch.ones(4, 3))
+    >>> prediction.passes, bool((prediction.std == 0).all())
+    (1, True)
+    """
+
+    def __init__(self, network: nn.Module) -> None:
+        super().__init__(network, passes=2)
+        self.passes = 1
+
+    def identity(self, passes: int | None = None) -> PredictorIdentity:
+        """Weights alone: no dropout rate plays a part."""
+        return PredictorIdentity.of(self.network, 1, rates={})
+
+    def __call__(
+        self, *args: object, seed: int | Sequence[int] | None = None, **kwargs: object
+    ) -> Prediction:
+        """The output of the pass as mean, and σ = 0."""
+        with torch.inference_mode(), only_active(self.network, []):
+            output = next(iterate_tensors(self.network(*args, **kwargs)))
+        # A copy outside inference mode can be used with autograd.
+        return Prediction.of(output.clone()[None], self.keep_samples)

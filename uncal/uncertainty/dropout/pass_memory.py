@@ -34,12 +34,7 @@ class PassMemory:
         self._new: set[str] = set()
 
     def recall(self, split: str, frames: Sequence[str]) -> Tensor | None:
-        """Passes of some frames.
-
-        Returns:
-            (n, B, D), the first n ≤ N passes, as many as are known of all of them; None if of one
-            of them none is.
-        """
+        """(n, B, D): of B frames the first n ≤ N passes that all have; None if one has none."""
         known = self._of(split)
         found = [known[frame] for frame in frames if frame in known]
         if len(found) < len(frames):
@@ -50,13 +45,7 @@ class PassMemory:
         return torch.stack([samples[:passes] for samples in found], dim=1)
 
     def remember(self, split: str, frames: Sequence[str], samples: Tensor) -> None:
-        """Take note of passes; :meth:`save` writes them.
-
-        Args:
-            split: that the frames come from.
-            frames: their names.
-            samples: (N, B, D).
-        """
+        """Take note of the (N, B, D) passes of B frames; :meth:`save` writes them."""
         self.computed[split] = self.computed.get(split, 0) + len(frames)
         kept = samples.detach().cpu().unbind(1)
         self._of(split).update(zip(frames, kept, strict=True))

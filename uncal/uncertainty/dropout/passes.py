@@ -12,8 +12,7 @@ from torch import Tensor, nn
 
 from uncal.errors import UncertaintyError
 from uncal.uncertainty.dropout.masks import FixedMasks
-from uncal.uncertainty.dropout.nested import iterate_tensors
-from uncal.uncertainty.dropout.replicated import Replicated
+from uncal.uncertainty.dropout.replicated import Replicated, iterate_tensors
 from uncal.uncertainty.dropout.shared_prefix import DivergedError, SharedPrefix
 from uncal.uncertainty.dropout.stochastic_layers import StochasticLayers
 
@@ -26,27 +25,16 @@ GPU_SHARE = 64
 
 @dataclass(frozen=True)
 class Arguments:
-    """What the network is called with.
-
-    Attributes:
-        args: positional arguments.
-        kwargs: keyword arguments.
-        batch: B, the first dimension of the first tensor.
-        device: of that tensor.
-    """
+    """What the network is called with."""
 
     args: tuple[object, ...]
     kwargs: Mapping[str, object]
-    batch: int
-    device: torch.device
+    batch: int  # B, the first dimension of the first tensor
+    device: torch.device  # of that tensor
 
     @classmethod
     def of(cls, args: tuple[object, ...], kwargs: Mapping[str, object]) -> Arguments:
-        """Find the batch.
-
-        Raises:
-            UncertaintyError: no tensor, or one without rows.
-        """
+        """Find the batch, or say that there is no tensor, or one without rows."""
         first = next(iterate_tensors((args, dict(kwargs))), None)
         if first is None or len(first) == 0:
             shape = "no tensor" if first is None else f"a tensor of shape {tuple(first.shape)}"
@@ -84,21 +72,14 @@ class Arguments:
 
 
 class Passes:
-    """The network with its dropout layers under control; a context manager.
-
-    Args:
-        network: the network.
-        active: its active dropout layers by name.
-        masks: fixed masks, or None.
-        seeds: (B,) of the rows.
-    """
+    """The network with its dropout layers under control; a context manager."""
 
     def __init__(
         self,
         network: nn.Module,
-        active: Mapping[str, nn.Module],
-        masks: FixedMasks | None,
-        seeds: Tensor,
+        active: Mapping[str, nn.Module],  # its active dropout layers by name
+        masks: FixedMasks | None,  # fixed ones
+        seeds: Tensor,  # (B,) of the rows
     ) -> None:
         self.network = network
         self.layers = StochasticLayers(active, masks)
@@ -134,17 +115,9 @@ class Passes:
     def sample(
         self, strategy: str, chunk: int, passes: range, arguments: Arguments, first: int = 0
     ) -> Tensor:
-        """Run some passes.
+        """(P, B, D) of P passes, float32 or better, with at most ``chunk`` rows in one call.
 
-        Args:
-            strategy: ``shared``, ``batch`` or ``loop``.
-            chunk: most rows in one call of the network.
-            passes: numbers of the passes.
-            arguments: of the network.
-            first: which of the seeds belongs to the first row.
-
-        Returns:
-            (P, B, D), float32 or better.
+        ``first``: which of the seeds belongs to the first row.
         """
         size = min(arguments.batch, chunk)
         parts = []
@@ -157,11 +130,7 @@ class Passes:
         return torch.cat(parts, dim=1)
 
     def disagreement(self, strategy: str, arguments: Arguments) -> str | None:
-        """Compare a strategy with single rows, looped.
-
-        Args:
-            strategy: to be tried.
-            arguments: the inputs at hand, of which the first and the last row are taken.
+        """Compare a strategy with single rows, looped: the first and the last of the inputs.
 
         Returns:
             None if the samples are the same up to rounding, else what is wrong. Where they cannot

@@ -27,11 +27,7 @@ class Prediction:
 
     @classmethod
     def of(cls, samples: Tensor, keep: bool = False) -> Prediction:
-        """Mean and σ of single passes.
-
-        Args:
-            samples: (N, B, D) the passes.
-            keep: hold on to them.
+        """Mean and σ of (N, B, D) single passes, held on to if they are to be kept.
 
         >>> import torch
         >>> prediction = Prediction.of(torch.tensor([[[1.0]], [[3.0]]]))
@@ -42,13 +38,10 @@ class Prediction:
         return cls(mean, std, len(samples), samples if keep else None)
 
     def first(self, passes: int) -> Prediction:
-        """What the first passes alone would have said: one run of 50 also answers 5, 10 and 25.
+        """What the first n passes, 2 ≤ n ≤ N, would have said: one of 50 also answers 5, 10 and 25.
 
         Passes are independent and identically distributed, so that the first n of N are n passes
         like any others; with fixed masks they are the passes of an engine with n masks.
-
-        Args:
-            passes: n, from 2 to N.
 
         Raises:
             UncertaintyError: the samples were not kept, or n is out of range.

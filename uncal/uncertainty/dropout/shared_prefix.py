@@ -16,8 +16,7 @@ import torch
 from lightning_utilities.core.apply_func import apply_to_collection
 from torch import Tensor, nn
 
-from uncal.uncertainty.dropout.nested import is_mappable, iterate_tensors
-from uncal.uncertainty.dropout.replicated import Replicated
+from uncal.uncertainty.dropout.replicated import Replicated, is_mappable, iterate_tensors
 from uncal.uncertainty.dropout.stochastic_layers import (
     FirstDropout,
     Forward,
@@ -51,11 +50,7 @@ def without(network: nn.Module, stochastic: Set[nn.Module]) -> list[nn.Module]:
         return pure[module]
 
     look(network)
-    return [m for m, is_pure in pure.items() if is_pure and not _is_script(m)]
-
-
-def _is_script(module: nn.Module) -> bool:
-    return isinstance(module, torch.jit.ScriptModule)
+    return [m for m, own in pure.items() if own and not isinstance(m, torch.jit.ScriptModule)]
 
 
 class SharedPrefix:
@@ -72,12 +67,7 @@ class SharedPrefix:
         return replaced_forwards({module: self._forward_of(module) for module in self._pure})
 
     def record(self, run: Callable[[], object], rows: int) -> None:
-        """Run the network up to its first dropout.
-
-        Args:
-            run: calls the network; a dropout layer ends it by :class:`FirstDropout`.
-            rows: B, of its batch.
-        """
+        """Call the network, of B rows, until a dropout layer ends it by :class:`FirstDropout`."""
         self._log.clear()
         self._recording, self._rows, self._depth = True, rows, 0
         try:
@@ -88,10 +78,7 @@ class SharedPrefix:
             self._recording = False
 
     def replay(self, run: Callable[[], object], times: int) -> object:
-        """Run the network with what is known put in, replicated.
-
-        Returns:
-            What ``run`` returns.
+        """What ``run``, which calls the network, returns with what is known put in, replicated.
 
         Raises:
             DivergedError: the modules are not called in the order in which they were recorded.

@@ -50,12 +50,7 @@ class StochasticLayers:
         self._calls: dict[str, int] = {}
 
     def begin(self, passes: range, seeds: Tensor) -> None:
-        """Say what the next call of the network holds: P passes of B rows, passes outermost.
-
-        Args:
-            passes: numbers of the passes.
-            seeds: (B,) of the rows.
-        """
+        """Say what the next call holds: P passes, outermost, of B rows with (B,) seeds."""
         self._passes, self._seeds = passes, seeds
         self._calls.clear()
 
@@ -136,11 +131,7 @@ class FirstDropout(BaseException):
 
 @contextmanager
 def replaced_forwards(forwards: Mapping[nn.Module, Forward]) -> Iterator[None]:
-    """Give modules another ``forward``, and their own back on leaving.
-
-    Args:
-        forwards: module → what to call instead.
-    """
+    """Give modules another ``forward``, and their own back on leaving."""
     missing = object()
     before = {module: module.__dict__.get("forward", missing) for module in forwards}
     try:
