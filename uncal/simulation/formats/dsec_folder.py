@@ -54,11 +54,7 @@ SEQUENCE_GAP_US = 10 * 10**6
 
 
 def events_of(settings: SimulationSettings) -> EventSettings:
-    """The settings of the event camera.
-
-    Raises:
-        ValueError: there is none.
-    """
+    """The settings of the event camera; a ValueError where there is none."""
     if settings.events is None:
         raise ValueError("simulation.events is missing; an event camera needs it")
     return settings.events
