@@ -76,7 +76,7 @@ def pictures(source: Run | Multirun) -> list[Picture]:
 
 
 def _stored(path: Path, origin: str) -> Picture:
-    """A file with its title and caption, which :func:`named.save` keeps in it."""
+    """A file with its title and caption, which :func:`style.save` keeps in it."""
     data = path.read_bytes()
     try:
         with Image.open(io.BytesIO(data)) as image:

@@ -1,4 +1,4 @@
-"""A multirun's summary, kept up to date from job to job; a callback of Hydra, not of Lightning."""
+"""A multirun's plan, and its summary, kept up to date from job to job: a callback of Hydra."""
 
 from __future__ import annotations
 
