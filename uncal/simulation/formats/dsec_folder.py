@@ -83,7 +83,7 @@ def midnight_us(rig: int) -> int:
     return (day - datetime.date(1970, 1, 1)).days * 86_400 * 10**6
 
 
-def record(settings: SimulationSettings, piece: Piece) -> dict[str, NDArray[Any]]:
+def record(settings: SimulationSettings, piece: Piece) -> dict[str, Any]:
     """Simulate the frames of a piece, with ``settings.events``, one after the other.
 
     The vehicle drives through the window at constant speed and turn rates; when the window ends,
