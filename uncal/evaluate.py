@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from pathlib import Path
 
 import hydra
@@ -13,8 +12,6 @@ from uncal.settings.command_line import quote_arguments
 from uncal.settings.configuration import CONFIG_DIR, exits_on_error, quiet_libraries
 from uncal.settings.guard import task_words
 from uncal.settings.help_page import show_help
-
-log = logging.getLogger(__name__)
 
 CALIBRATION = ("model", "interval", "mcd", "window", "split", "decalibration", "seed")
 """Settings that a calibration belongs to."""
@@ -38,8 +35,7 @@ def main(config: DictConfig) -> float:
     from uncal.settings.check import check_settings, refuse_values
     from uncal.system.memory import keep_freed_memory
     from uncal.weights.digest import digest_of_file
-    from uncal.weights.load_or_train import Weights
-    from uncal.weights.store import CHECKPOINT
+    from uncal.weights.load_or_train import CHECKPOINT, Weights
 
     keep_freed_memory()
     quiet_libraries()

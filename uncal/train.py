@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -21,8 +20,6 @@ if TYPE_CHECKING:
     from uncal.data.datamodule import CalibrationDataModule
     from uncal.models.module import CalibrationModule
     from uncal.weights.load_or_train import Weights
-
-log = logging.getLogger(__name__)
 
 
 @hydra.main(version_base="1.3", config_path=CONFIG_DIR, config_name="train")
@@ -43,9 +40,8 @@ def main(config: DictConfig) -> float:
     from uncal.settings.check import check_settings
     from uncal.system.memory import keep_freed_memory
     from uncal.weights.ingredients import data_ingredients, training_ingredients
-    from uncal.weights.load_or_train import Weights, load_or_train, stays_trained
+    from uncal.weights.load_or_train import Weights, WeightStore, load_or_train, stays_trained
     from uncal.weights.shipped import find_weights
-    from uncal.weights.store import WeightStore
 
     keep_freed_memory()
     quiet_libraries()
@@ -93,15 +89,11 @@ def main(config: DictConfig) -> float:
 
 
 def untrained(start: str | None) -> Weights:
-    """What stands for the weights of a model without parameters.
+    """What stands for the weights of a model without parameters, which none can go on from.
 
     Its checkpoint is written after the test, with the calibrator, for :mod:`uncal.evaluate`.
-
-    Raises:
-        ConfigurationError: there is one.
     """
-    from uncal.weights.load_or_train import Weights
-    from uncal.weights.store import CHECKPOINT
+    from uncal.weights.load_or_train import CHECKPOINT, Weights
 
     if start is not None:
         raise ConfigurationError(

@@ -5,8 +5,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from uncal.weights.load_or_train import load_or_train
-from uncal.weights.store import CHECKPOINT, RECORD, Trained, WeightStore
+from uncal.weights.load_or_train import CHECKPOINT, RECORD, Trained, WeightStore, load_or_train
 
 INGREDIENTS = {"seed": 0, "frames": "abc"}
 TRAINED = Trained(seconds=12.5, epochs=3, finished="2026-01-01T00:00:00", run="r", commit=None)

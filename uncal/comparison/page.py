@@ -45,21 +45,13 @@ FOLDER = "figures"
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure as it stands on a page.
-
-    Attributes:
-        title: what it shows.
-        caption: how to read it; may be empty.
-        png: the file.
-        inches: its width in a paper.
-        origin: the command of the run that it shows.
-    """
+    """A figure as it stands on a page."""
 
     title: str
-    caption: str
+    caption: str  # how to read it; may be empty
     png: bytes
-    inches: float
-    origin: str
+    inches: float  # its width in a paper
+    origin: str  # the command of the run that it shows
 
 
 def pictures(source: Run | Multirun) -> list[Picture]:
@@ -84,7 +76,7 @@ def pictures(source: Run | Multirun) -> list[Picture]:
 
 
 def _stored(path: Path, origin: str) -> Picture:
-    """A file with its title and caption, which :func:`named.save` keeps in it."""
+    """A file with its title and caption, which :func:`style.save` keeps in it."""
     data = path.read_bytes()
     try:
         with Image.open(io.BytesIO(data)) as image:
@@ -120,18 +112,11 @@ class Part:
 
 @dataclass(frozen=True)
 class Content:
-    """A whole comparison.
-
-    Attributes:
-        title: heading of the page.
-        origin: the command and the time of the comparison itself.
-        notice: what must not be overlooked, below :data:`NOTICE_TITLE`.
-        parts: its chapters.
-    """
+    """A whole comparison."""
 
     title: str
-    origin: str
-    notice: Sequence[str]
+    origin: str  # the command and the time of the comparison itself
+    notice: Sequence[str]  # what must not be overlooked, below NOTICE_TITLE
     parts: Sequence[Part]
 
 

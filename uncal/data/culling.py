@@ -26,12 +26,12 @@ fill the cores would have to wait."""
 
 
 def frustum_mask(
-    points: NDArray[np.float32],  # (N, 3), m, LiDAR frame; a view of the columns of (N, 4) will do
-    T_cam_lidar: NDArray[np.float64],  # (4, 4) true extrinsic, LiDAR → camera
-    K: NDArray[np.float64],  # (3, 3) without skew, pixels
-    image_size: tuple[int, int],  # height, width of the image that K belongs to
-    max_rotation: float,  # rad, bound of |roll|, |pitch| and |yaw|
-    max_translation: float,  # m, bound of |x|, |y| and |z|
+    points: NDArray[np.float32],
+    T_cam_lidar: NDArray[np.float64],
+    K: NDArray[np.float64],
+    image_size: tuple[int, int],
+    max_rotation: float,
+    max_translation: float,
 ) -> NDArray[np.bool_]:
     r"""Mark every point that some decalibration within the bounds brings into the image.
 
@@ -44,6 +44,14 @@ def frustum_mask(
 
     so p is kept if no plane has d < -(κ ‖p‖ + t_max ‖R_cam_lidarᵀ n‖₁). κ = ‖R - I‖ at the
     largest rotation; see :func:`largest_rotation_chord`.
+
+    Args:
+        points: (N, 3), metres, LiDAR frame; a view of the first three columns of (N, 4) will do.
+        T_cam_lidar: (4, 4) true extrinsic, LiDAR → camera.
+        K: (3, 3) camera matrix without skew, pixels.
+        image_size: height and width of the image that K belongs to.
+        max_rotation: bound of |roll|, |pitch| and |yaw|, radians.
+        max_translation: bound of |x|, |y| and |z|, metres.
 
     Returns:
         (N,) True for the points to keep; never False for a point that can become visible.

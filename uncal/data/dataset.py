@@ -110,10 +110,10 @@ class FrameDataset(Dataset[Item]):
     Points that no decalibration within the range can bring into the image are left out here, so
     that they are neither copied nor projected; see :mod:`uncal.data.culling`.
 
+    Other arguments are those of :class:`~uncal.data.datamodule.CalibrationDataModule`.
+
     Args:
-        recording: where the frames come from.
         units: the frames of this split, unit by unit.
-        image_size: (H, W) of the network's images, pixels.
         decalibration: the range that culling must respect and fixed draws come from.
         fixed_seed: evaluation splits: the decalibration is a pure function of it and the frame's
             name (of a window, its first frame's); None: training, which draws per step on the
@@ -121,8 +121,6 @@ class FrameDataset(Dataset[Item]):
         cache: keep samples in memory after their first use.
         events: draws the events of an event camera; None where no channel shows them.
         edges: most edges of a sweep to keep; 0: find none.
-        focal_px: focal length that images are brought to, pixels; None: ``image_size`` alone says
-            how images are resized.
     """
 
     def __init__(
@@ -243,7 +241,7 @@ def collate(items: Sequence[Item]) -> Batch:
     samples = [frame for frame in frames if isinstance(frame, Sample)]
     if not samples:
         none, empty = torch.empty(0, dtype=torch.int64), torch.empty(0)
-        return Batch(none, none, [], *[empty] * 5, None, skipped)
+        return Batch(none, none, [], empty, empty, empty, empty, empty, None, skipped)
     indices = torch.tensor([sample.unit_index for sample in samples])
     unit_index, unit = torch.unique_consecutive(indices, return_inverse=True)
     first = [samples[i] for i in range(len(samples)) if i == 0 or unit[i] != unit[i - 1]]

@@ -35,14 +35,9 @@ class Projection(NamedTuple):
 
 
 def pixel_coordinates(points_cam: Tensor, K: Tensor) -> Tensor:
-    """Pinhole projection; integer coordinates are pixel centres.
+    """(..., N, 2) column and row, pixels, of (..., N, 3) points in the camera frame, z > 0, metres.
 
-    Args:
-        points_cam: (..., N, 3) points in the camera frame, z > 0, metres.
-        K: (..., 3, 3) camera matrices, pixels.
-
-    Returns:
-        (..., N, 2) column and row.
+    A pinhole projection by (..., 3, 3) camera matrices; integer coordinates are pixel centres.
 
     >>> K = torch.tensor([[100.0, 0.0, 50.0], [0.0, 100.0, 20.0], [0.0, 0.0, 1.0]])
     >>> pixel_coordinates(torch.tensor([[1.0, 0.5, 2.0]]), K).tolist()

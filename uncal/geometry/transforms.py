@@ -53,13 +53,7 @@ def matrix_to_euler(rotation: Tensor) -> Tensor:
 
 
 def pose_to_matrix(pose: Tensor) -> Tensor:
-    """Homogeneous transforms from 6-vectors in the order of :data:`DOF_NAMES`.
-
-    Args:
-        pose: (..., 6) x, y, z in metres; roll, pitch, yaw in radians.
-
-    Returns:
-        (..., 4, 4) transforms.
+    """(..., 4, 4) transforms of (..., 6) metres and radians in the order of :data:`DOF_NAMES`.
 
     >>> pose_to_matrix(torch.tensor([1.0, 2.0, 3.0, 0.0, 0.0, 0.0]))[:3, 3].tolist()
     [1.0, 2.0, 3.0]
@@ -98,14 +92,7 @@ def invert(transform: Tensor) -> Tensor:
 
 
 def transform_points(transform: Tensor, points: Tensor) -> Tensor:
-    """Map points by rigid transforms.
-
-    Args:
-        transform: (..., 4, 4) ``T_a_b``.
-        points: (..., N, 3) points in frame b, metres.
-
-    Returns:
-        (..., N, 3) the points in frame a.
+    """(..., N, 3) points in frame a, metres, by (..., 4, 4) ``T_a_b`` and (..., N, 3) in frame b.
 
     >>> T = pose_to_matrix(torch.tensor([1.0, 0.0, 0.0, 0.0, 0.0, torch.pi / 2]))
     >>> transform_points(T, torch.tensor([[1.0, 0.0, 0.0]])).round().tolist()

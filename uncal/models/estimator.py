@@ -62,10 +62,8 @@ class Geometry(NamedTuple):
 class PointGeometry(nn.Module):
     """:func:`grid_points` and their :func:`displacement_jacobian`.
 
-    A module, so that the stochastic passes of one frame can share its output.
-
-    Args:
-        bounds: (6,) range of the decalibrations, metres and radians.
+    A module, so that the stochastic passes of one frame can share its output; ``bounds`` are the
+    (6,) range of the decalibrations, metres and radians.
     """
 
     bounds: Tensor

@@ -35,11 +35,7 @@ class PoseHead(nn.Module):
         return nn.Sequential(*layers, FastDropout(dropout), nn.Linear(in_channels, 3))
 
     def forward(self, maps: list[Tensor]) -> Tensor:
-        """Pool and regress.
-
-        Returns:
-            (B, 6) decalibration in units of its range.
-        """
+        """Pool and regress: (B, 6) decalibration in units of its range."""
         pooled = maps[-1].mean((2, 3))
         return torch.cat([self.translation(pooled), self.rotation(pooled)], 1)
 
@@ -48,11 +44,6 @@ class QuantileHead(nn.Module):
     """Three :class:`PoseHead` s: the pose, and a lower and an upper quantile around it.
 
     The quantiles are the pose minus and plus something positive, so that they never cross.
-
-    Args:
-        in_channels: of the maps, fine to coarse; the coarsest is pooled.
-        hidden: widths of the hidden layers.
-        dropout: rate before each linear layer.
     """
 
     gives_quantiles = True
@@ -65,11 +56,7 @@ class QuantileHead(nn.Module):
         )
 
     def forward(self, maps: list[Tensor]) -> Tensor:
-        """Pool and regress.
-
-        Returns:
-            (B, 3, 6) pose, lower and upper quantile in units of the decalibration's range.
-        """
+        """(B, 3, 6) pose, lower and upper quantile in units of the decalibration's range."""
         pose = self.pose(maps)
         below, above = F.softplus(self.below(maps)), F.softplus(self.above(maps))
         return torch.stack([pose, pose - below, pose + above], 1)
@@ -104,11 +91,7 @@ class DisplacementHead(nn.Module):
         nn.init.zeros_(cast(Tensor, self.predict.bias))
 
     def forward(self, maps: list[Tensor]) -> Tensor:
-        """Decode coarse to fine.
-
-        Returns:
-            (B, 4, h, w): displacement in pixels of the input (columns, rows), and two log-weights.
-        """
+        """(B, 4, h, w): displacement in pixels of the input (columns, rows), two log-weights."""
         used = maps[self.finest :]
         x: Tensor | None = None
         pairs = zip(reversed(used), reversed(self.lateral), reversed(self.smooth), strict=True)

@@ -18,15 +18,8 @@ def displacement_loss(displacement: Tensor, truth: Tensor, seen: Tensor) -> Tens
     """Mean absolute error of the displacement, where a LiDAR point tells the truth.
 
     Points close to the camera can be displaced by far more than the image; errors beyond
-    20 pixels count as 20, lest one such point outweigh the rest.
-
-    Args:
-        displacement: (B, n, 2) pixels.
-        truth: (B, n, 2) pixels.
-        seen: (B, n) 1 where there is a point, else 0.
-
-    Returns:
-        Scalar, pixels.
+    20 pixels count as 20, lest one such point outweigh the rest. Displacements are (B, n, 2)
+    pixels; ``seen`` is (B, n), 1 where there is a point, else 0.
     """
     error = (displacement - truth).abs().clamp(max=20.0) * seen[..., None]
     return error.sum() / (2.0 * seen.sum().clamp(min=1.0))

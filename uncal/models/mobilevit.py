@@ -57,10 +57,7 @@ class MobileViT(nn.Module):
         self.channels: tuple[int, ...] = tuple(neck_hidden_sizes[1:6])
 
     def forward(self, x: Tensor) -> list[Tensor]:
-        """Features from fine to coarse.
-
-        Args:
-            x: (B, C, H, W); H and W best multiples of 32.
+        """Features of (B, C, H, W), fine to coarse; H and W are best multiples of 32.
 
         Returns:
             Five maps (B, channels[i], H/s, W/s), s = 2, 4, 8, 16 and the output stride.

@@ -123,12 +123,9 @@ def frame_seed(seed: int, split: str, frame: FrameId) -> int:
 
 
 def pass_names(batch: NetworkInput) -> list[str]:
-    """Names under which the passes of a batch's frames are remembered.
+    """B names under which the passes of a batch's frames are remembered: the frame's own.
 
-    In a window a frame's passes depend on the others, whose evidence the rounds before added up.
-
-    Returns:
-        B names: the frame's own, and in a window those of all its frames behind it.
+    In a window all its frames' names follow, on whose evidence, added up, the passes depend.
     """
     names = [str(frame) for frame in batch.frames]
     unit = batch.unit.tolist()
@@ -142,13 +139,8 @@ def pass_names(batch: NetworkInput) -> list[str]:
 def join_predictions(parts: Sequence[SplitPrediction], split: str) -> SplitPrediction:
     """Predictions of a split's batches as one, those of all processes together.
 
-    Samples that a distributed sampler repeated are dropped; the order is the split's.
-
-    Returns:
-        All of them, on the CPU, the same on every process.
-
-    Raises:
-        RecordingError: there is none.
+    Samples that a distributed sampler repeated are dropped; the order is the split's. All are on
+    the CPU, the same on every process; it is an error if there is none.
     """
     if parts:
         columns = [torch.cat([_columns(part)[i] for part in parts]) for i in range(2)]

@@ -1,4 +1,4 @@
-"""A multirun's summary, kept up to date from job to job; a callback of Hydra, not of Lightning."""
+"""A multirun's plan, and its summary, kept up to date from job to job: a callback of Hydra."""
 
 from __future__ import annotations
 
@@ -39,10 +39,8 @@ class MultirunSummary(Callback):
 
     After every job and not only at the end: Hydra's sweeper raises what a failed job raised as soon
     as all jobs have run, and then calls ``on_multirun_end`` no more. A parallel launcher takes this
-    object along into the processes of the jobs, which then write at the same time.
-
-    Args:
-        figures: whether to draw; takes seconds, every five minutes and after the last job.
+    object along into the processes of the jobs, which then write at the same time. Figures are
+    drawn, if wanted, in seconds, every five minutes and after the last job.
     """
 
     def __init__(self, figures: bool = True) -> None:

@@ -49,9 +49,6 @@ def sweep_figures(frame: pd.DataFrame) -> list[NamedFigure]:
 
     Over a swept number, such as ``mcd.passes``, lines; another swept key gives one line per value.
     Without a number, or with more lines than can be told apart, a row of dots per combination.
-
-    Args:
-        frame: of a :class:`uncal.multirun.folder.Multirun`.
     """
     sweep = Sweep(frame)
     if len(sweep.groups) < 2 and sweep.replicates < 2:

@@ -32,11 +32,7 @@ Quantity: TypeAlias = tuple[str, float, Sequence[str]]
 
 
 class Sweep:
-    """The jobs of a multirun, grouped by the values swept.
-
-    Args:
-        frame: of a :class:`uncal.multirun.folder.Multirun`.
-    """
+    """The frame of a :class:`uncal.multirun.folder.Multirun`, grouped by the values swept."""
 
     def __init__(self, frame: pd.DataFrame) -> None:
         self.frame = frame

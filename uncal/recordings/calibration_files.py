@@ -219,18 +219,13 @@ def event_camera_calibration(
         T_camRect0_lidar = R_rect0 · T_10⁻¹ · R_rect1⁻¹ · T_lidar_camRect1⁻¹        (left)
         T_camRect3_lidar = R_rect3 · T_32 · T_21 · R_rect1⁻¹ · T_lidar_camRect1⁻¹   (right).
 
-    Args:
-        cam_to_cam: ``cam_to_cam.yaml`` of the sequence.
-        cam_to_lidar: ``cam_to_lidar.yaml`` of the sequence or of its drive.
-        side: a key of :data:`SIDES`.
-
     Returns:
         K of camRect0 (right: camRect3) and the extrinsic from the LiDAR to that camera. A frame
         camera's K scaled to the event camera's size would stay in the frame camera, whose
         viewpoint is some 4 cm away (right: 9 cm).
 
     Raises:
-        RecordingError: a file or a key is missing or damaged.
+        RecordingError: a file (the second may be the drive's) or a key is missing or damaged.
     """
     cameras, path = read_calibration_yaml(cam_to_cam, _SOURCE), cam_to_cam
     number = SIDES[side]

@@ -1,7 +1,8 @@
 """ROS's ``sensor_msgs/PointCloud2``: points laid out as the message says, read without ROS.
 
 A message names its fields with offsets and types, so that drivers differ in order, padding and
-precision; see http://docs.ros.org/en/noetic/api/sensor_msgs/html/msg/PointCloud2.html.
+precision; see http://docs.ros.org/en/noetic/api/sensor_msgs/html/msg/PointCloud2.html. A message
+that is shorter than it says is a ValueError everywhere.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ def read_points(message: PointCloud2, brightest: float = BYTE) -> tuple[NDArray[
         the field intensity the reflectance is 0.
 
     Raises:
-        ValueError: a field is missing, or the message is shorter than it says.
+        ValueError: a field is missing.
     """
     names = ("x", "y", "z", "intensity") if has_intensity(message) else ("x", "y", "z")
     columns = _columns(message, names)
@@ -64,11 +65,7 @@ def has_intensity(message: PointCloud2) -> bool:
 
 
 def brightest_of(message: PointCloud2) -> float:
-    """:data:`BYTE` or :data:`WORD`: which intensity is a reflectance of 1, by one message.
-
-    Raises:
-        ValueError: the message is shorter than it says.
-    """
+    """:data:`BYTE` or :data:`WORD`: which intensity is a reflectance of 1, by one message."""
     if not has_intensity(message):
         return BYTE
     (column,) = _columns(message, ("intensity",))
@@ -86,9 +83,6 @@ def sweep_end(message: PointCloud2) -> float:
 
     Returns:
         Seconds; 0 where the message has no such field or it does not hold seconds in a sweep.
-
-    Raises:
-        ValueError: the message is shorter than it says.
     """
     if not any(field.name == "time" for field in message.fields):
         return 0.0
@@ -106,9 +100,6 @@ def sweep_spin(message: PointCloud2) -> Spin | None:
     Returns:
         ``ahead_s`` counts from the stamp. None where there are no times, or they do not fall with
         the azimuth as a Velodyne's do.
-
-    Raises:
-        ValueError: the message is shorter than it says.
     """
     if not any(field.name == "time" for field in message.fields):
         return None

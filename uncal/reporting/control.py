@@ -48,10 +48,7 @@ def control_table(control: ControlPrediction, mae_mean: Sequence[float]) -> pd.D
 
 
 def resampling_groups(frames: Sequence[FrameId]) -> tuple[str, list[str]]:
-    """The coarsest grouping with more than one group: frames of a rig or drive are dependent.
-
-    Returns:
-        "rigs", "drives" or "frames", and n labels.
+    """The coarsest grouping with more than one group: "rigs", "drives" or "frames", and n labels.
 
     >>> from uncal.recordings.frame import FrameId
     >>> resampling_groups([FrameId("car", "a", 0), FrameId("car", "a", 1), FrameId("car", "b", 0)])

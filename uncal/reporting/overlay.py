@@ -23,10 +23,7 @@ STRONGEST = 0.6
 
 
 def draw_events(events: Events, size: tuple[int, int], pixel_map: PixelMap) -> NDArray[np.uint8]:
-    """The events of a window, summed over time: blue got brighter, orange darker, white nothing.
-
-    Returns:
-        (H, W, 3) uint8 RGB.
+    """(H, W, 3) RGB of events, summed over time: blue got brighter, orange darker, white nothing.
 
     >>> one = np.ones(1, np.float32)
     >>> events = Events(one, 0 * one, np.array([7]), np.array([False]), (0, 10), (1, 2))

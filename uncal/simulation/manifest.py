@@ -59,28 +59,16 @@ def is_own_folder(folder: str) -> bool:
 
 @dataclass(frozen=True)
 class Manifest:
-    """Contents of ``simulation.json``.
+    """Contents of ``simulation.json``."""
 
-    Attributes:
-        generator: always :data:`GENERATOR`.
-        simulated: always true; nobody should mistake the folder for a real recording.
-        finished: whether every frame is there.
-        fingerprint: of the settings and the simulator's version.
-        version: the simulator's version.
-        seed: the simulation's seed.
-        n_frames: frames when finished.
-        dates: the folders that belong to the simulation (KITTI: the dates), relative to the root.
-        settings: all settings.
-    """
-
-    generator: str
-    simulated: bool
-    finished: bool
-    fingerprint: str
-    version: int
+    generator: str  # always GENERATOR
+    simulated: bool  # always true; nobody should mistake the folder for a real recording
+    finished: bool  # whether every frame is there
+    fingerprint: str  # of the settings and the simulator's version
+    version: int  # the simulator's
     seed: int
-    n_frames: int
-    dates: list[str]
+    n_frames: int  # when finished
+    dates: list[str]  # its folders (KITTI: the dates), relative to the root
     settings: dict[str, object]
 
     @classmethod

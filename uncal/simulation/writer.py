@@ -41,11 +41,7 @@ def available_cores() -> int:
 def write_rigs(
     settings: SimulationSettings, root: Path, todo: list[int], workers: int, progress: bool
 ) -> None:
-    """Simulate rigs; the caller holds the lock of ``root``.
-
-    Raises:
-        RecordingError: a file could not be written, or a worker died.
-    """
+    """Simulate rigs; the caller holds the lock of ``root``."""
     begin = time.perf_counter()
     layout = layout_of(settings)
     partial = {index: root / f"{PARTIAL_PREFIX}{index:04d}" for index in todo}

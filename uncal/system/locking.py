@@ -20,10 +20,7 @@ def locked(path: Path, work: str) -> Iterator[None]:
     """Hold a lock; wait, and say so, while another process holds it.
 
     The system drops the lock when its holder dies: there is no stale lock, whatever the file says.
-
-    Args:
-        path: the lock's file, in an existing folder.
-        work: what its holder does, for messages, such as "simulates into data/demo".
+    ``work`` is what its holder does, for messages, such as "simulates into data/demo".
     """
     lock = FileLock(path)
     try:

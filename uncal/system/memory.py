@@ -23,14 +23,8 @@ _M_MMAP_MAX = -4
 def keep_freed_memory() -> bool:
     """Tell glibc's allocator to reuse large blocks; does nothing elsewhere than on glibc.
 
-    Call it once at the start of a process, before large tensors are made. Peak memory is the same;
-    memory freed at the peak stays with the process.
-
-    Returns:
-        Whether the allocator took the settings.
-
-    >>> isinstance(keep_freed_memory(), bool)
-    True
+    Call it once at the start of a process, before large tensors are made; it says whether the
+    allocator took the settings. Peak memory is the same; memory freed at the peak stays.
     """
     if not sys.platform.startswith("linux"):
         return False

@@ -53,11 +53,9 @@ def smoothing_window(n: int) -> int:
 
 
 def moving_average(values: Column, window: int) -> Column:
-    """(n,) means of the ``window`` values around each; at both ends of those there are.
+    """(n,) means of the ``window`` (odd) values around each; at both ends of those there are.
 
-    Args:
-        values: (n,); a mean with an infinite one among them is NaN.
-        window: odd.
+    A mean with an infinite one among them is NaN.
 
     >>> moving_average(np.array([0.0, 3.0, 6.0, 3.0]), window=3).tolist()
     [1.5, 3.0, 4.0, 4.5]

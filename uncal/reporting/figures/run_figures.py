@@ -1,4 +1,4 @@
-"""All figures of one run, from the files in its folder."""
+"""All figures of one run from the files in its folder; among them empirical coverage by level."""
 
 from __future__ import annotations
 

@@ -117,11 +117,7 @@ def write_events(
 
 
 def write_rectify_map(path: Path, rectify_map: NDArray[np.float32]) -> None:
-    """Write ``rectify_map.h5``: (H, W, 2), at [y, x] the rectified x and y of a sensor's pixel.
-
-    Raises:
-        ValueError: not of that shape.
-    """
+    """Write ``rectify_map.h5``: (H, W, 2), at [y, x] the rectified x and y of a sensor's pixel."""
     if rectify_map.ndim != 3 or rectify_map.shape[2] != 2:
         raise ValueError(f"rectify_map has shape {rectify_map.shape}; expected (H, W, 2)")
     with h5py.File(path, "w") as file:
@@ -135,11 +131,7 @@ def write_cam_to_cam(
     T_21: NDArray[np.float64],  # (4, 4) frame left → frame right, m
     T_32: NDArray[np.float64],  # (4, 4) frame right → event right, m
 ) -> None:
-    """Write ``cam_to_cam.yaml``: intrinsics, and extrinsics of the cameras before rectification.
-
-    Raises:
-        ValueError: not four cameras.
-    """
+    """Write ``cam_to_cam.yaml``: intrinsics and extrinsics of four cameras before rectification."""
     if len(cameras) != CAMERAS:
         raise ValueError(f"{len(cameras)} cameras; DSEC has {CAMERAS}")
     intrinsics: dict[str, dict[str, object]] = {}

@@ -54,11 +54,7 @@ SEQUENCE_GAP_US = 10 * 10**6
 
 
 def events_of(settings: SimulationSettings) -> EventSettings:
-    """The settings of the event camera.
-
-    Raises:
-        ValueError: there is none.
-    """
+    """The settings of the event camera; a ValueError where there is none."""
     if settings.events is None:
         raise ValueError("simulation.events is missing; an event camera needs it")
     return settings.events
@@ -87,7 +83,7 @@ def midnight_us(rig: int) -> int:
     return (day - datetime.date(1970, 1, 1)).days * 86_400 * 10**6
 
 
-def record(settings: SimulationSettings, piece: Piece) -> dict[str, NDArray[Any]]:
+def record(settings: SimulationSettings, piece: Piece) -> dict[str, Any]:
     """Simulate the frames of a piece, with ``settings.events``, one after the other.
 
     The vehicle drives through the window at constant speed and turn rates; when the window ends,

@@ -71,11 +71,7 @@ class KittiLayout:
             write_truth(self.settings, rig, drive, name)
 
     def write(self, piece: Piece, partial: Path) -> None:
-        """Simulate a piece's frames into the drive folder.
-
-        Raises:
-            RecordingError: a file could not be written.
-        """
+        """Simulate a piece's frames into the drive folder."""
         # Workers share the cores already; OpenCV's own threads would only get in their way.
         cv2.setNumThreads(1)
         settings, folder = self.settings, partial / self.drive_folder(piece.rig, piece.drive)

@@ -130,15 +130,12 @@ def rotate(points: Points, yaw: Points) -> Points:
 
 
 def boxes(
-    base: Points, size: Points, yaw: Points, taper: Points | float = 1.0
+    base: Points,  # (n, 3) centre of the lower face, metres
+    size: Points,  # (n, 3) length, width, height, metres
+    yaw: Points,  # (n,) rotation about z, radians
+    taper: Points | float = 1.0,  # (n, 2) length and width of the upper face by the lower's
 ) -> tuple[Points, Points, Points, Points]:
     """Corners of boxes standing on their base.
-
-    Args:
-        base: (n, 3) centre of the lower face, metres.
-        size: (n, 3) length, width, height, metres.
-        yaw: (n,) rotation about z, radians.
-        taper: (n, 2) or one number: length and width of the upper face relative to the lower.
 
     Returns:
         Sides (n, 4, 4, 3) with extents (n, 4, 2); top and bottom (n, 2, 4, 3) with extents.
@@ -154,16 +151,13 @@ def boxes(
 
 
 def prisms(
-    base: Points, radius: Points, height: Points, top: Points, sides: int
+    base: Points,  # (n, 3) centre of the lower end, metres
+    radius: Points,  # (n,) metres
+    height: Points,  # (n,) metres
+    top: Points,  # (n, 2) x, y of the upper end relative to the lower, metres
+    sides: int,
 ) -> tuple[Points, Points]:
     """Side faces of upright prisms: poles and trunks.
-
-    Args:
-        base: (n, 3) centre of the lower end, metres.
-        radius: (n,) metres.
-        height: (n,) metres.
-        top: (n, 2) x, y of the upper end relative to the lower, metres.
-        sides: number of faces.
 
     Returns:
         Quads (n, sides, 4, 3) and extents (n, sides, 2).
@@ -208,15 +202,12 @@ _SPHERE_POINTS, _SPHERE_FACES = _icosphere()
 
 
 def blobs(
-    centre: Points, radii: Points, roughness: float, rng: np.random.Generator
+    centre: Points,  # (n, 3) metres
+    radii: Points,  # (n, 3) metres
+    roughness: float,  # relative standard deviation of the vertices' distance from the centre
+    rng: np.random.Generator,
 ) -> tuple[Points, Points]:
     """Dented low-poly ellipsoids: crowns, bushes, heads.
-
-    Args:
-        centre: (n, 3) metres.
-        radii: (n, 3) metres.
-        roughness: relative standard deviation of the vertices' distance from the centre.
-        rng: draws the dents.
 
     Returns:
         Triangles (n, 80, 3, 3) and texture coordinates (n, 80, 3, 2) in metres.

@@ -45,24 +45,13 @@ def surfaces(
     rng: np.random.Generator,
     n: int,
     kinds: Kind | tuple[Kind, ...],
-    tile_m: ArrayLike,
-    first: Array,
-    second: Array | None = None,
-    reflectances: tuple[float | None, float | None] = (None, None),
-    fit: bool = False,
+    tile_m: ArrayLike,  # metres per repeat; one number, (2,) or (n, 2)
+    first: Array,  # (n, 3) albedo where the texture's blend is 0
+    second: Array | None = None,  # (n, 3) where it is 1; unset: a darker shade of the first
+    reflectances: tuple[float | None, float | None] = (None, None),  # None: drawn from the albedo
+    fit: bool = False,  # stretch the tile to whole repeats per face
 ) -> Surfaces:
-    """Surfaces of n objects: a random variant of one of the kinds of texture, two colours.
-
-    Args:
-        rng: source of randomness.
-        n: number of objects.
-        kinds: kinds of texture to choose from.
-        tile_m: metres per repeat; one number, (2,) or (n, 2).
-        first: (n, 3) albedo where the texture's blend is 0.
-        second: (n, 3) albedo where it is 1; unset: a darker shade of the first.
-        reflectances: fixed LiDAR reflectance of the two; None: drawn from the albedo.
-        fit: stretch the tile to whole repeats per face.
-    """
+    """Surfaces of n objects: a random variant of one of the kinds of texture, two colours."""
     choice = np.atleast_1d(np.asarray(kinds))
     texture = rng.choice(choice, n) * VARIANTS + rng.integers(VARIANTS, size=n)
     if second is None:

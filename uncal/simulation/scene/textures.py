@@ -56,22 +56,12 @@ class TextureLibrary:
 
     def sample(
         self,
-        texture: NDArray[np.int32],
-        u: NDArray[np.float32],
-        v: NDArray[np.float32],
-        footprint: NDArray[np.float32],
+        texture: NDArray[np.int32],  # (N,) texture numbers
+        u: NDArray[np.float32],  # (N,) horizontal coordinate in repeats of the texture
+        v: NDArray[np.float32],  # (N,) vertical coordinate in repeats, upwards
+        footprint: NDArray[np.float32],  # (N,) texels that one sample sees; chooses the mip level
     ) -> tuple[Image, Image]:
-        """Blend and grain at texture coordinates.
-
-        Args:
-            texture: (N,) texture numbers.
-            u: (N,) horizontal coordinate in repeats of the texture.
-            v: (N,) vertical coordinate in repeats, upwards.
-            footprint: (N,) width of what one sample sees, in texels; chooses the mip level.
-
-        Returns:
-            (N,) blend in 0..1 and (N,) grain in GRAIN_RANGE.
-        """
+        """(N,) blend in 0..1 and (N,) grain in GRAIN_RANGE at texture coordinates."""
         level = np.clip(np.frexp(footprint)[1] - 1, 0, SIZE_BITS)
         bits = SIZE_BITS - level
         column = (np.floor(u * SIZE).astype(np.int32) & (SIZE - 1)) >> level

@@ -24,7 +24,7 @@ Image = NDArray[np.float64]
 
 
 class LuminanceMeter:
-    """Measures one scene's luminance, as :class:`~.camera.Camera` would see it.
+    """Measures one scene's luminance, as the frame camera of the scene would see it.
 
     With albedo and light per channel c, weights w, and the texture's blend b and grain g,
     Σ_c w_c (a_c + b·d_c) · g · (ambient_c + in_sun · sun_c) is linear in b for the sky and for the

@@ -52,8 +52,7 @@ class EventOptics:
     def rectify(self, u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
         """(..., 2) rectified pixels of (...) columns and rows of the sensor; integers are centres.
 
-        Raises:
-            ConfigurationError: the lens bends rays so much that positions have none of their own.
+        A lens that bends rays so much that positions have none of their own is refused.
         """
         x, y = (u - self.K[0, 2]) / self.K[0, 0], (v - self.K[1, 2]) / self.K[1, 1]
         straight = _undistort(np.hypot(x, y), self.distortion[0])

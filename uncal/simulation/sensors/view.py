@@ -69,12 +69,10 @@ class View:
         rows[:, 12] = scene.texel_density
 
     def meet(self, triangle: Numbers, directions: Array, shift: Array | None = None) -> Meeting:
-        """Where rays meet the triangles that :meth:`Scene.cast` has named.
+        """Where rays meet the (N,) triangles that :meth:`Scene.cast` has named.
 
-        Args:
-            triangle: (N,) triangle numbers.
-            directions: (3, N) float32; component by component, which is what is fast here.
-            shift: (3, N) from the view's point to where each ray starts; None: nowhere.
+        Directions and, from the view's point to where each ray starts, shifts are (3, N) float32,
+        component by component, which is what is fast here.
         """
         x, y, z = directions
         row = self._table.take(triangle, axis=0, mode="wrap")
@@ -102,12 +100,8 @@ class View:
     def radiance(self, meeting: Meeting, footprint: Array, in_sun: Array) -> Array:
         """Light leaving the surfaces (Lambert), (3, N) linear RGB; 0 for NOTHING.
 
-        L = albedo · (ambient sky light + visible sun · max(0, n·s)), all of unit scale.
-
-        Args:
-            meeting: the places.
-            footprint: (N,) width of what one ray stands for, metres.
-            in_sun: (N,) share of the sun that is visible, 0..1.
+        L = albedo · (ambient sky light + visible sun · max(0, n·s)), all of unit scale; rays are
+        (N,) metres wide and see (N,) shares of the sun, 0..1.
         """
         blend, grain = self.texture_at(meeting, footprint)
         row = self.scene.look.take(meeting.triangle, axis=0, mode="wrap")

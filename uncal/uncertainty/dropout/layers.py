@@ -170,10 +170,6 @@ def only_active(network: nn.Module, active: Sequence[nn.Module]) -> Iterator[Non
     Every module's own training flag is put back on leaving, after an exception too. Torch's fused
     inference path for transformer layers looks at the layer's flag only, and so would skip the
     dropout layers inside; it is switched off meanwhile.
-
-    Args:
-        network: any network; its flags are changed in place and restored.
-        active: the layers to switch on.
     """
     # Past nn.Module.__setattr__, which would take longer than a small network's pass.
     flags = [(module.__dict__, module.training) for _, module in walk(network)]

@@ -23,10 +23,7 @@ _LANES = 1 << 16
 
 
 def mix(values: Tensor) -> Tensor:
-    """SplitMix64's output function, a bijection of 64-bit integers that scatters neighbours.
-
-    Args:
-        values: int64, any shape; changed in place.
+    """SplitMix64's output function: int64 values, changed in place, whose neighbours it scatters.
 
     >>> [hex(v & (2**64 - 1)) for v in mix(torch.arange(1, 3) * _GAMMA).tolist()]
     ['0xe220a8397b1dcdaf', '0x6e789e6aa1b965f4']

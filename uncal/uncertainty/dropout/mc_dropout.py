@@ -137,11 +137,7 @@ class MCDropout:
     ) -> Prediction:
         """Run only those passes that are not known yet: N answer after n with N - n more.
 
-        Args:
-            known: (n, B, D) the first passes of the same inputs and seeds, n < N.
-            *args: the network's arguments, as in a call.
-            seed: of each row, as in a call.
-            **kwargs: the network's keyword arguments.
+        The (n, B, D) first passes, n < N, are of the same inputs and seeds of rows, as in a call.
 
         Returns:
             What a call says, up to rounding; with its samples. Where layers draw random numbers of

@@ -14,15 +14,11 @@ log = logging.getLogger(__name__)
 
 
 class PassMemory:
-    """Remembers the passes of trained weights, frame by frame.
+    """Remembers N passes of trained weights, and of no others, in a folder, frame by frame.
 
     Passes are a pure function of (seed, split, frame, number of the pass), so that the first n of N
     are the passes that an engine of n would have run; up to rounding, since other rows may go
     through the network together.
-
-    Args:
-        folder: where the passes of these weights, and of no others, are kept; made when needed.
-        passes: how many are wanted.
     """
 
     def __init__(self, folder: Path, passes: int) -> None:

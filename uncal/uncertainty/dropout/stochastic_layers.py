@@ -26,10 +26,6 @@ class StochasticLayers:
     attribute ``elementwise_dropout = True``) get masks that do not depend on how the passes are
     batched. Others (``nn.AlphaDropout``, layers found by name) run their own forward in training
     mode with torch's random numbers.
-
-    Args:
-        layers: the active ones by name.
-        fixed: masks that all frames share, or None for fresh ones.
     """
 
     def __init__(self, layers: Mapping[str, nn.Module], fixed: FixedMasks | None) -> None:
