@@ -25,6 +25,7 @@ _UPRIGHT = 0.7
 """Cosine between the LiDAR's up and the camera's, at least."""
 
 _KEPT = 24
+_ROUGHLY = 2000
 _FRAMES = 4
 _ROUGH_EDGES = 400
 
@@ -193,11 +194,9 @@ def degrees_read_as_radians(views: Sequence[View]) -> list[Hypothesis]:
         T = way.repeat(len(R), 1, 1)
         T[:, :3, :3] = R
         T = rest @ (torch.linalg.inv(T) if inverted else T)
-        values = torch.zeros(len(T))
-        for chunk, total in zip(T.split(2048), values.split(2048), strict=True):
-            for one in rough:
-                total += torch.nan_to_num(agreement(one, chunk), nan=-9.0)
-        best = values.argsort(descending=True)[:_KEPT]
+        # Most of them lie far off in any frame.
+        T = T[_values(rough[:1], T).argsort(descending=True)[:_ROUGHLY]]
+        best = _values(rough, T).argsort(descending=True)[:_KEPT]
         found += [
             Hypothesis(
                 "degrees",
@@ -208,6 +207,15 @@ def degrees_read_as_radians(views: Sequence[View]) -> list[Hypothesis]:
             for i in best
         ]
     return found
+
+
+def _values(views: Sequence[View], T: Tensor) -> Tensor:
+    """(P,) sum of the agreements of some frames."""
+    values = torch.zeros(len(T))
+    for chunk, total in zip(T.split(2048), values.split(2048), strict=True):
+        for view in views:
+            total += torch.nan_to_num(agreement(view, chunk), nan=-9.0)
+    return values
 
 
 def _lattice(R: Tensor) -> Tensor:
