@@ -2,10 +2,10 @@
 
     python benchmarks/check.py OUT kitti=FOLDER… dsec=FOLDER… [name=FOLDER…]
 
-Copies each folder, breaks the copy in one way (:mod:`uncal.checking.breaking`), checks it, and
-notes for each drive which kinds were named as errors: the right one (found), another one (falsely
-found). A folder is read as DSEC's where it holds ``data``, else as KITTI raw. Writes OUT.csv and
-OUT.md.
+Copies each folder, breaks the copy in one way (:mod:`breaking_kitti`, :mod:`breaking_dsec`), checks
+it, and notes for each drive which kinds were named as errors: the right one (found), another one
+(falsely found). A folder is read as DSEC's where it holds ``data``, else as KITTI raw. Writes
+OUT.csv and OUT.md.
 """
 
 from __future__ import annotations
@@ -17,8 +17,12 @@ from pathlib import Path
 
 import pandas as pd
 
-from uncal.checking.breaking import Break, dsec_faults, kitti_faults
+from breaking import Break
+from breaking_dsec import dsec_faults
+from breaking_kitti import kitti_faults
 from uncal.checking.check import check
+
+MARK = "<!-- Above: written by benchmarks/check.py. -->"
 
 
 def main(out: Path, sources: dict[str, Path]) -> None:
@@ -51,9 +55,16 @@ def main(out: Path, sources: dict[str, Path]) -> None:
                 )
             table = pd.DataFrame(rows)
             table.to_csv(path, index=False)
-            out.with_suffix(".md").write_text(_page(table), encoding="utf-8")
+            write_page(out.with_suffix(".md"), table)
             sys.stdout.write(f"{name}: {fault}\n")
             sys.stdout.flush()
+
+
+def write_page(path: Path, table: pd.DataFrame) -> None:
+    """Write the table; what stands below :data:`MARK` in the page stays."""
+    known = path.read_text(encoding="utf-8") if path.is_file() else ""
+    text = known.partition(MARK)[2] or "\n"
+    path.write_text(_page(table) + MARK + text, encoding="utf-8")
 
 
 def _page(table: pd.DataFrame) -> str:
@@ -62,14 +73,17 @@ def _page(table: pd.DataFrame) -> str:
         "# Faults that `python -m uncal.check` finds",
         "",
         "Drives in which the fault was named / drives broken (of good ones: passed / checked), and "
-        "drives in which another fault was named as an error. Each drive was broken in one way; 8 "
-        "frames of each were compared. A dash: not run.",
-        "`python benchmarks/check.py docs/results/check NAME=FOLDER …` goes on with what is not.",
+        "drives in which another",
+        "fault was named as an error. Each drive was broken in one way; 8 frames of each were "
+        "compared. A dash: the layout cannot",
+        "have this fault. `python benchmarks/check.py docs/results/check NAME=FOLDER …` goes on "
+        "where the CSV ends.",
         "",
         "| fault | word | " + " | ".join(names) + " | falsely found |",
         "|---|---|" + "---|" * (len(names) + 1),
     ]
-    for fault in table.fault.unique():
+    order = ["none", *kitti_faults()]
+    for fault in sorted(table.fault.unique(), key=order.index):
         part = table[table.fault == fault]
         cells = []
         for name in names:
@@ -80,7 +94,7 @@ def _page(table: pd.DataFrame) -> str:
         wrong = ", ".join(f"{n} × {kinds}" for kinds, n in false.falsely.value_counts().items())
         word = part.kind.iloc[0] or "no error"
         lines.append(f"| {fault} | `{word}` | " + " | ".join(cells) + f" | {wrong or '-'} |")
-    return "\n".join([*lines, ""])
+    return "\n".join([*lines, "", ""])
 
 
 if __name__ == "__main__":

@@ -8,15 +8,21 @@ from pathlib import Path
 
 import pytest
 
+from breaking_dsec import dsec_faults
+from breaking_kitti import kitti_faults
 from uncal.check import main
-from uncal.checking.breaking import dsec_faults, kitti_faults
 from uncal.checking.check import Checked, check
 from uncal.checking.finding import KINDS
 from uncal.errors import RecordingError
 
 OFTEN = (
-    *("inverted extrinsic", "points in millimetres", "K of half the size", "image truncated"),
-    *("images one frame late", "no calibration"),
+    *(
+        "inverted extrinsic",
+        "points in millimetres",
+        "K of half the size",
+        "image (events) truncated",
+    ),
+    *("images (events) one frame late", "no calibration"),
 )
 
 

@@ -8,14 +8,15 @@ from pathlib import Path
 
 import lightning
 from omegaconf import DictConfig
+from torch import Tensor
 
 from uncal.calibrating.guarantee import choose_interval, possible_levels, summary
+from uncal.calibrating.walk import batches_of_one_walk
 from uncal.errors import ConfigurationError, FrameError, RecordingError
-from uncal.inference.split_passes import predict_split
-from uncal.models.module import CalibrationModule
+from uncal.inference.split_passes import predict_batches, predict_split
 from uncal.models.split_prediction import SplitPrediction
 from uncal.monitor.evidence import EvidenceReader
-from uncal.monitor.references import INSIDE, make_references
+from uncal.monitor.references import INSIDE, ReferenceWindows
 from uncal.monitor.settings import MonitorSettings
 from uncal.recordings.frame import FrameId, Recording
 from uncal.recordings.static_transform import StaticTransform
@@ -30,6 +31,8 @@ log = logging.getLogger(__name__)
 
 ALL_CALIBRATE: tuple[float, float, float, float] = (0.01, 0.01, 0.97, 0.01)
 """Shares of the trusted recordings."""
+
+_SPLIT = "uncertainty_calibration"
 
 
 def calibrate(config: DictConfig, words: list[str], weights: Path, out: Path) -> list[str]:
@@ -48,7 +51,7 @@ def calibrate(config: DictConfig, words: list[str], weights: Path, out: Path) ->
     refuse_values(run, None)
     lightning.seed_everything(run.seed, workers=True, verbose=False)
     data = build_data(run)
-    frames = data.named("uncertainty_calibration")
+    frames = data.named(_SPLIT)
     drives = len({(frame.rig, frame.drive) for frame in frames})
     lines = [] if "interval" in asked else [choose_interval(run.interval, drives)]
     by_drive = run.interval.calibrator._target_.endswith("HierarchicalCalibrator")
@@ -62,14 +65,24 @@ def calibrate(config: DictConfig, words: list[str], weights: Path, out: Path) ->
     module, trainer = build_module(run), build_trainer(run)
     load_weights(module, weights, calibrated=False)
     module.eval()
-    scores = predict_split(trainer, module, data, "uncertainty_calibration")
-    module.fit_calibrator(scores, frames)
-    with replaced_whole(out) as partial:
-        save_shipped(module.state_dict(), module.recipe, partial)
-    lines += summary(module, scores, frames, levels)
-    written = [out]
+    windows = None
     if config.references:
-        lines += _add_references(module, data.recording, out, str(config.recordings))
+        settings = MonitorSettings.shipped()
+        reader = EvidenceReader(module, module.device, settings.seed)
+        windows = ReferenceWindows(reader, settings)
+        batches = batches_of_one_walk(data, _SPLIT, windows.take, "MC dropout and references")
+        scores = predict_batches(trainer, module, data, _SPLIT, batches)
+    else:
+        scores = predict_split(trainer, module, data, _SPLIT)
+    module.fit_calibrator(scores, frames)
+    lines += summary(module, scores, frames, levels)
+    inside: dict[str, Tensor] = {}
+    if windows is not None:
+        inside, said = _references(windows, settings.level, out, str(config.recordings))
+        lines.append(said)
+    with replaced_whole(out) as partial:
+        save_shipped(module.state_dict(), module.recipe, partial, inside)
+    written = [out]
     transform = _transform(config, data.recording, frames, scores)
     if transform is not None:
         written += transform.write(out.with_suffix(""))
@@ -78,30 +91,26 @@ def calibrate(config: DictConfig, words: list[str], weights: Path, out: Path) ->
     return [*lines, *map(str, written)]
 
 
-def _add_references(
-    module: CalibrationModule, recording: Recording, out: Path, label: str
-) -> list[str]:
-    """Make the monitor's references and write them into the same file."""
-    settings = MonitorSettings.shipped()
-    reader = EvidenceReader(out, module.device, settings.seed)
+def _references(
+    windows: ReferenceWindows, level: float, out: Path, label: str
+) -> tuple[dict[str, Tensor], str]:
+    """What of the monitor's references goes into the file of weights, and a sentence on them."""
     try:
-        references = make_references(recording, reader, settings, label)
+        references = windows.references(label)
     except RecordingError as error:
-        return [f"No references for the monitor, which watches single frames then: {error}"]
+        return {}, f"No references for the monitor, which watches single frames then: {error}"
     for exchangeable in ("drive", "window"):
         try:
-            references.check_level(settings.level, exchangeable)
+            references.check_level(level, exchangeable)
         except ConfigurationError as error:
             reason = str(error)
             continue
-        with replaced_whole(out) as partial:
-            save_shipped(module.state_dict(), module.recipe, partial, {INSIDE: references.packed()})
         hint = "" if exchangeable == "drive" else " exchangeable=window"
-        return [
+        return {INSIDE: references.packed()}, (
             f"The monitor's references: {len(references.drives)} windows. python -m "
             f"uncal.monitor weights={out}{hint} source=…"
-        ]
-    return [f"No references for the monitor, which watches single frames then: {reason}"]
+        )
+    return {}, f"No references for the monitor, which watches single frames then: {reason}"
 
 
 def _transform(

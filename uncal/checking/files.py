@@ -46,6 +46,9 @@ def of_error(drive: str, error: RecordingError) -> Finding:
     if "UTC; the scans are from" in str(error):
         kind, expected = "clock", "scans from the time of the events"
         remedy = "put both sensors on one clock (t_offset, UTC)"
+    elif "out of order" in str(error):
+        kind, expected = "clock", "times that rise from event to event"
+        remedy = "sort the events by time, all columns together"
     seen = " ".join(line.strip() for line in str(error).splitlines()[:2])
     return Finding(kind, drive, seen, expected, remedy)
 

@@ -55,8 +55,7 @@ def judge(views: Sequence[View]) -> Judgement:
     support = peak_height(views, declared.T)
     repair = _best(views, declared, support, hypotheses(first))
     if repair is None and not support >= SUPPORTED:
-        rough = first.fewer(max(1, len(first.edges) // 400))
-        repair = _best(views, declared, support, degrees_read_as_radians(first, rough))
+        repair = _best(views, declared, support, degrees_read_as_radians(views))
     return Judgement(support, repair)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -24,6 +25,9 @@ _UPRIGHT = 0.7
 """Cosine between the LiDAR's up and the camera's, at least."""
 
 _KEPT = 24
+_ROUGHLY = 2000
+_FRAMES = 4
+_ROUGH_EDGES = 400
 
 
 class Hypothesis(NamedTuple):
@@ -147,51 +151,80 @@ def _axes(T: Tensor) -> list[Hypothesis]:
 
 
 def _degrees(rest: Tensor, link: Tensor) -> list[Hypothesis]:
-    """Small angles that are radians read as degrees; the other way round needs a search."""
-    angles = matrix_to_euler(link[:3, :3])
-    if float(angles.abs().max().rad2deg()) > 3.2:
-        return []
-    turned = link.clone()
-    turned[:3, :3] = euler_to_matrix(angles.rad2deg())
-    return [
-        Hypothesis(
-            "degrees",
-            "the rotation fits only when its angles are multiplied by 180/π",
-            "give the angles in the unit that is declared",
-            rest @ turned,
+    """Small angles that are radians read as degrees; the other way round needs a search.
+
+    The angles may be those of LiDAR → camera or, as in DSEC's file, of camera → LiDAR.
+    """
+    found = []
+    for inverted in (False, True):
+        way = torch.linalg.inv(link) if inverted else link.clone()
+        angles = matrix_to_euler(way[:3, :3])
+        if float(angles.abs().max().rad2deg()) > 3.2:
+            continue
+        way[:3, :3] = euler_to_matrix(angles.rad2deg())
+        found.append(
+            Hypothesis(
+                "degrees",
+                "the rotation fits only when its angles are multiplied by 180/π",
+                "give the angles in the unit that is declared",
+                rest @ (torch.linalg.inv(way) if inverted else way),
+            )
         )
-    ]
+    return found
 
 
-def degrees_read_as_radians(view: View, rough: View) -> list[Hypothesis]:
+def degrees_read_as_radians(views: Sequence[View]) -> list[Hypothesis]:
     """Rotations whose angles, in degrees, were taken for radians.
 
     An angle of a degrees read as a radians is known modulo 2π: the true one is one of a + 2πk, in
-    degrees, a lattice of 6.28° per axis. Of all its rotations (R = Rz·Ry·Rx) that leave the LiDAR
-    upright in the image, those remain whose edges fit best in one frame.
+    degrees, a lattice of 6.28° per axis; for the angles of LiDAR → camera and for those of camera →
+    LiDAR. Of all its rotations (R = Rz·Ry·Rx) that leave the LiDAR upright in the image, those
+    remain whose edges fit best in a few frames: in a single one, others fit by chance.
     """
-    roll, pitch, yaw = matrix_to_euler(view.link[:3, :3]).double().tolist()
+    view = views[0]
+    few = views[:: max(1, len(views) // _FRAMES)][:_FRAMES]
+    rough = [one.fewer(max(1, len(one.edges) // _ROUGH_EDGES)) for one in few]
+    rest = view.T @ torch.linalg.inv(view.link)
+    found = []
+    for inverted in (False, True):
+        way = torch.linalg.inv(view.link) if inverted else view.link
+        R = _lattice(way[:3, :3])
+        to_camera = rest[:3, :3] @ (R.transpose(1, 2) if inverted else R)
+        R = R[-(to_camera @ view.up)[:, 1] > _UPRIGHT]
+        T = way.repeat(len(R), 1, 1)
+        T[:, :3, :3] = R
+        T = rest @ (torch.linalg.inv(T) if inverted else T)
+        # Most of them lie far off in any frame.
+        T = T[_values(rough[:1], T).argsort(descending=True)[:_ROUGHLY]]
+        best = _values(rough, T).argsort(descending=True)[:_KEPT]
+        found += [
+            Hypothesis(
+                "degrees",
+                "the rotation fits only when its angles, read as radians, are taken for degrees",
+                "convert the angles to radians before making the rotation",
+                T[i],
+            )
+            for i in best
+        ]
+    return found
+
+
+def _values(views: Sequence[View], T: Tensor) -> Tensor:
+    """(P,) sum of the agreements of some frames."""
+    values = torch.zeros(len(T))
+    for chunk, total in zip(T.split(2048), values.split(2048), strict=True):
+        for view in views:
+            total += torch.nan_to_num(agreement(view, chunk), nan=-9.0)
+    return values
+
+
+def _lattice(R: Tensor) -> Tensor:
+    """(n, 3, 3) rotations with angles in degrees that, read as radians, give this one."""
+    roll, pitch, yaw = matrix_to_euler(R).double().tolist()
     turns = 2 * np.pi * np.arange(-_TURNS, _TURNS + 1)
     rotations = []
     for r, p, y in ((roll, pitch, yaw), (roll + np.pi, np.pi - pitch, yaw + np.pi)):
         axes = [angle + turns for angle in (r, p, y)]
         grid = np.stack(np.meshgrid(*(axis[abs(axis) <= 180] for axis in axes)), -1).reshape(-1, 3)
         rotations.append(euler_to_matrix(torch.from_numpy(np.radians(grid)).float()))
-    R = torch.cat(rotations)
-    up = view.up
-    rest = view.T @ torch.linalg.inv(view.link)
-    R = R[-(rest[:3, :3] @ R @ up)[:, 1] > _UPRIGHT]
-    T = view.link.repeat(len(R), 1, 1)
-    T[:, :3, :3] = R
-    T = rest @ T
-    values = torch.cat([agreement(rough, chunk) for chunk in T.split(2048)]) if len(T) else T[:0]
-    best = torch.nan_to_num(values, nan=-9.0).argsort(descending=True)[:_KEPT]
-    return [
-        Hypothesis(
-            "degrees",
-            "the rotation fits only when its angles, read as radians, are taken for degrees",
-            "convert the angles to radians before making the rotation",
-            T[i],
-        )
-        for i in best
-    ]
+    return torch.cat(rotations)

@@ -158,16 +158,25 @@ class FrameDataset(Dataset[Item]):
         return self._cache[index]
 
     def _load(self, index: int) -> Item:
-        unit, fixed = self.units[index], None
-        loaded: Item = []
+        return [self._load_frame(index, frame_id) for frame_id in self.units[index]]
+
+    def _load_frame(self, index: int, frame_id: FrameId) -> Sample | SkippedFrame:
+        try:
+            frame = self.recording.load(frame_id)
+        except FrameError as error:
+            return SkippedFrame(frame_id, str(error))
+        return self.of_frame(frame, index)
+
+    def of_frame(self, frame: Frame, unit_index: int) -> Sample | SkippedFrame:
+        """What a frame of a unit becomes, under the unit's fixed decalibration if there is one."""
+        fixed = None
         if self.fixed_seed is not None:
-            fixed = self.decalibration.draw_for(self.fixed_seed, str(unit[0]))
-        for frame_id in unit:
-            try:
-                loaded.append(self.sample(self.recording.load(frame_id), index, fixed))
-            except FrameError as error:
-                loaded.append(SkippedFrame(frame_id, str(error)))
-        return loaded
+            first = self.units[unit_index][0]
+            fixed = self.decalibration.draw_for(self.fixed_seed, str(first))
+        try:
+            return self.sample(frame, unit_index, fixed)
+        except FrameError as error:
+            return SkippedFrame(frame.id, str(error))
 
     def sample(self, frame: Frame, unit_index: int, decalibration: Tensor | None) -> Sample:
         """A frame at the network's size and culled, with its unit and (6,) fixed decalibration.

@@ -6,7 +6,7 @@ The image-blind control is the same test, fed with what the camera saw in anothe
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import torch
 from lightning import Trainer
@@ -44,10 +44,27 @@ def predict_split(
     Raises:
         RecordingError: no frame of the split could be read.
     """
-    parts: list[SplitPrediction] = []
     loader = data.loader_of(split, most, share=(trainer.global_rank, trainer.world_size))
+    quiet = not trainer.is_global_zero
+    bar = watched(loader, f"MC dropout, {split}", quiet=quiet)
+    return predict_batches(trainer, module, data, split, bar)
+
+
+def predict_batches(
+    trainer: Trainer,
+    module: CalibrationModule,
+    data: CalibrationDataModule,
+    split: str,
+    batches: Iterable[Batch],
+) -> SplitPrediction:
+    """The same for the batches of a split, wherever they come from.
+
+    Raises:
+        RecordingError: no frame of them could be read.
+    """
+    parts: list[SplitPrediction] = []
     with torch.inference_mode():
-        for batch in watched(loader, f"MC dropout, {split}", quiet=not trainer.is_global_zero):
+        for batch in batches:
             inputs = data.on_after_batch_transfer(batch.to(module.device), 0)
             if inputs is None:
                 continue

@@ -82,7 +82,7 @@ class EvidenceReader:
     so that what windows are made of does not depend on what went before.
 
     Args:
-        weights: a checkpoint of ``uncal.train``, or shipped weights.
+        weights: a checkpoint of ``uncal.train``, shipped weights, or the module that holds them.
         device: where the network runs.
         seed: of the dropout masks.
 
@@ -96,10 +96,13 @@ class EvidenceReader:
         ConfigurationError: no such weights.
     """
 
-    def __init__(self, weights: Path, device: torch.device, seed: int) -> None:
-        self.recipe = read_recipe(weights)
-        self.module: CalibrationModule = build_module(self.recipe)
-        load_weights(self.module, weights, calibrated=True)
+    def __init__(self, weights: Path | CalibrationModule, device: torch.device, seed: int) -> None:
+        if isinstance(weights, Path):
+            self.recipe = read_recipe(weights)
+            self.module: CalibrationModule = build_module(self.recipe)
+            load_weights(self.module, weights, calibrated=True)
+        else:
+            self.recipe, self.module = OmegaConf.create(weights.recipe), weights
         self.module.to(device).eval()
         self.device = device
         self.seed = seed

@@ -307,39 +307,70 @@ def make_references(
     Raises:
         RecordingError: no drive has a full window of usable frames.
     """
-    check = SensorCheck(settings.sensors)
-    stretches: list[_Stretch] = []
-    skipped = 0
+    windows = ReferenceWindows(reader, settings)
     for frame_id in watched(recording.frame_ids, "references"):
-        last = stretches[-1] if stretches else None
-        if last is None or last.full or last.drive != f"{frame_id.rig}/{frame_id.drive}":
-            stretches = [s for s in stretches if s.full]
-            stretches.append(last := _Stretch(frame_id, reader, settings))
         try:
-            frame = recording.load(frame_id)
-            fault = check.fault(frame)
+            windows.take(frame_id, recording.load(frame_id))
+        except FrameError as error:
+            windows.take(frame_id, error)
+    return windows.references(label)
+
+
+class ReferenceWindows:
+    """References in the making, frame by frame.
+
+    Args:
+        reader: the weights.
+        settings: of the monitor.
+    """
+
+    def __init__(self, reader: EvidenceReader, settings: MonitorSettings) -> None:
+        self._reader = reader
+        self._settings = settings
+        self._check = SensorCheck(settings.sensors)
+        self._stretches: list[_Stretch] = []
+        self._seen = self._skipped = 0
+
+    def take(self, frame_id: FrameId, frame: Frame | FrameError) -> None:
+        """Add the next frame of the recordings, or why it cannot be read."""
+        self._seen += 1
+        last = self._stretches[-1] if self._stretches else None
+        if last is None or last.full or last.drive != f"{frame_id.rig}/{frame_id.drive}":
+            self._stretches = [stretch for stretch in self._stretches if stretch.full]
+            self._stretches.append(last := _Stretch(frame_id, self._reader, self._settings))
+        try:
+            if isinstance(frame, FrameError):
+                raise frame
+            fault = self._check.fault(frame)
             if fault is not None:
                 raise FrameError(fault)
             last.take(frame)
         except FrameError as error:
             log.warning("skipped %s: %s", frame_id, error)
-            skipped += 1
-    full = [stretch for stretch in stretches if stretch.full]
-    if not full:
-        raise RecordingError(
-            f"calibrate: no drive has window={settings.window} usable frames "
-            f"({len(recording.frame_ids)} frames, {skipped} of them skipped)"
+            self._skipped += 1
+
+    def references(self, label: str) -> References:
+        """Those of all full windows; ``label`` says which recordings, for people.
+
+        Raises:
+            RecordingError: there is none.
+        """
+        full = [stretch for stretch in self._stretches if stretch.full]
+        if not full:
+            raise RecordingError(
+                f"calibrate: no drive has window={self._settings.window} usable frames "
+                f"({self._seen} frames, {self._skipped} of them skipped)"
+            )
+        return References(
+            made_with=fingerprint(self._reader, self._settings),
+            label=label,
+            drives=[stretch.drive for stretch in full],
+            error=np.stack([stretch.error for stretch in full]),
+            std=np.stack([stretch.std for stretch in full]),
+            frames=np.stack([stretch.frames for stretch in full]),
+            windows=np.stack([stretch.window_statistics for stretch in full]),
+            jumps=np.array([stretch.jump for stretch in full]),
         )
-    return References(
-        made_with=fingerprint(reader, settings),
-        label=label,
-        drives=[stretch.drive for stretch in full],
-        error=np.stack([stretch.error for stretch in full]),
-        std=np.stack([stretch.std for stretch in full]),
-        frames=np.stack([stretch.frames for stretch in full]),
-        windows=np.stack([stretch.window_statistics for stretch in full]),
-        jumps=np.array([stretch.jump for stretch in full]),
-    )
 
 
 class _Stretch:

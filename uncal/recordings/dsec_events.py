@@ -20,7 +20,7 @@ import hdf5plugin  # noqa: F401  # registers Blosc with h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from uncal.errors import FrameError, RecordingError
+from uncal.errors import CalibrationMissing, FrameError, NothingPaired, RecordingError
 from uncal.events.stream import Events
 
 # What h5py raises on a truncated file, a missing dataset, a broken chunk, an odd type.
@@ -113,6 +113,8 @@ def inspect_events(path: Path, rectify_map: NDArray[np.float32]) -> EventFile:
     Raises:
         RecordingError: the file is missing, truncated or not of this layout.
     """
+    if not path.is_file():
+        raise NothingPaired(f"{path} is missing.")
     with _opened(path, RecordingError) as file:
         lengths = {name: file["events"][name].shape for name in _COLUMNS}
         first_of_ms = file["ms_to_idx"][:].astype(np.int64)
@@ -125,6 +127,11 @@ def inspect_events(path: Path, rectify_map: NDArray[np.float32]) -> EventFile:
             )
         first_us, last_us = int(file["events"]["t"][0]), int(file["events"]["t"][n_events - 1])
         t_offset = int(file["t_offset"][()])
+    if last_us < first_us:
+        raise RecordingError(
+            f"{path}: its last event is {(first_us - last_us) / 1e6:.3f} s earlier than its first "
+            "one; the times are out of order."
+        )
     # Up to there a window needs only the entries that ms_to_idx has.
     indexed_us = 1000 * len(first_of_ms)
     end_us = last_us + 1 if last_us < indexed_us else indexed_us - 1000
@@ -137,6 +144,8 @@ def read_rectify_map(path: Path) -> NDArray[np.float32]:
     Raises:
         RecordingError: the file is missing, truncated or not of this layout.
     """
+    if not path.is_file():
+        raise CalibrationMissing(f"{path} is missing.")
     with _opened(path, RecordingError) as file:
         rectify_map = np.asarray(file["rectify_map"][()], dtype=np.float32)
     if rectify_map.ndim != 3 or rectify_map.shape[2] != 2 or not np.isfinite(rectify_map).all():
