@@ -9,7 +9,6 @@ import h5py  # type: ignore[import-untyped]
 import numpy as np
 import yaml  # type: ignore[import-untyped]
 from numpy.typing import NDArray
-from uncal.recordings.dsec_calibration import event_camera_calibration
 
 from breaking import (
     XY,
@@ -26,6 +25,7 @@ from breaking import (
     remove,
     scaled,
 )
+from uncal.recordings.calibration_files import event_camera_calibration
 from uncal.recordings.dsec_layout import find_sequences
 from uncal.recordings.lidar_bag import LidarBag
 from uncal.simulation.formats.dsec_files import LidarScan, write_lidar_bag

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from torch.utils.data import DataLoader, Dataset
 
@@ -90,6 +90,6 @@ def batches_of_one_walk(
                 finished = []
 
 
-def _as_it_is(read: _Read) -> _Read:
+def _as_it_is(read: Any) -> Any:  # noqa: ANN401
     """Not turned into tensors, as the loader would."""
     return read
