@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from uncal.errors import ConfigurationError
-from uncal.events import grid
+from uncal.events import representations
 from uncal.events.representations import EventRepresentation, Histogram, TimeSurface, VoxelGrid
 from uncal.events.stream import Events, PixelMap
 
@@ -259,7 +259,7 @@ def test_the_number_of_events_at_a_time_does_not_matter(
     events = random_events(100, seed=3)
     whole = representation(events, SIZE, SAME)
     for chunk in (1, 7, 100):
-        monkeypatch.setattr(grid, "CHUNK", chunk)
+        monkeypatch.setattr(representations, "CHUNK", chunk)
         assert torch.allclose(representation(events, SIZE, SAME), whole, atol=1e-5)
 
 

@@ -16,7 +16,7 @@ from filelock import FileLock
 from omegaconf import OmegaConf
 
 from uncal.errors import RecordingError
-from uncal.simulation import cache
+from uncal.simulation import writer
 from uncal.simulation.manifest import DRAFT_NAME, LOCK_NAME, Manifest, read_manifest
 from uncal.simulation.settings import SimulationSettings
 from uncal.simulation.writer import ensure_simulated
@@ -45,7 +45,7 @@ def test_finished_simulation_is_reused(
     def never(*_: object) -> None:
         raise AssertionError("simulated again")
 
-    monkeypatch.setattr(cache, "write_rigs", never)
+    monkeypatch.setattr(writer, "write_rigs", never)
     before = contents(root)
     assert ensure_simulated(tiny_settings, root, progress=False) == root
     assert contents(root) == before
@@ -202,7 +202,7 @@ def test_a_killed_process_leaves_what_another_resumes(
     root, script, yaml = tmp_path / "root", tmp_path / "killed.py", tmp_path / "settings.yaml"
     script.write_text(KILLED)
     OmegaConf.save(OmegaConf.create(settings.as_dict()), yaml)
-    package = str(Path(cache.__file__).parents[2])
+    package = str(Path(writer.__file__).parents[2])
     process = subprocess.Popen(
         [sys.executable, str(script), str(yaml), str(root)],
         env={**os.environ, "PYTHONPATH": package},
