@@ -212,7 +212,7 @@ def degrees_read_as_radians(views: Sequence[View]) -> list[Hypothesis]:
 def _values(views: Sequence[View], T: Tensor) -> Tensor:
     """(P,) sum of the agreements of some frames."""
     values = torch.zeros(len(T))
-    for chunk, total in zip(T.split(2048), values.split(2048), strict=True):
+    for chunk, total in zip(torch.split(T, 2048), torch.split(values, 2048), strict=True):
         for view in views:
             total += torch.nan_to_num(agreement(view, chunk), nan=-9.0)
     return values
