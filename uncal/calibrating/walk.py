@@ -72,7 +72,7 @@ def batches_of_one_walk(
         _Frames(data.recording, dataset),
         batch_size=None,
         num_workers=data.loader.workers,
-        collate_fn=_as_it_is,  # type: ignore[arg-type]  # without batches: one frame, no list
+        collate_fn=_as_it_is,
     )
     unfinished: dict[int, Item] = {}
     finished: list[Item] = []
