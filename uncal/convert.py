@@ -39,7 +39,7 @@ def main(config: DictConfig) -> None:
             log.info("%s: %d", what, n)
         for reason, n in stream.reasons.most_common(3):
             log.info("  unreadable (%d): %s", n, reason)
-    log.info("%s\nnext: python -m uncal.check %s", folder, root)
+    log.info("%s\nnext: python -m uncal.check %s", folder.resolve(), root)
 
 
 if __name__ == "__main__":

@@ -37,7 +37,7 @@ def main(config: DictConfig) -> None:
         settings.n_rigs * settings.drives_per_rig,
         settings.n_frames,
         size / 1e6,
-        root,
+        root.resolve(),
     )
 
 
