@@ -10,21 +10,7 @@ import numpy as np
 import yaml  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 
-from breaking import (
-    XY,
-    Y_RIGHT,
-    YZ,
-    Break,
-    Matrix,
-    cut,
-    degrees_for_radians,
-    distort,
-    first_of_each,
-    in_millimetres,
-    inverse,
-    remove,
-    scaled,
-)
+from breaking import Faults, Matrix, distort, geometric, of_files
 from uncal.recordings.calibration_files import event_camera_calibration
 from uncal.recordings.dsec_layout import find_sequences
 from uncal.recordings.lidar_bag import LidarBag
@@ -33,42 +19,20 @@ from uncal.simulation.formats.dsec_files import LidarScan, write_lidar_bag
 _HOUR_US = 3_600_000_000
 
 
-def dsec_faults() -> dict[str, tuple[str, Break]]:
+def dsec_faults() -> Faults:
     """Name of a fault → its kind, and what puts it into a DSEC folder.
 
     Under the names of :func:`breaking_kitti.kitti_faults`. What is not here cannot be: events are
     one stream, whose order is that of their times, and have no other size than the sensor.
     """
     return {
-        "inverted extrinsic": ("inverted", lambda root: _lidar_yaml(root, inverse)),
-        "axes: x right, y forward": ("axes", lambda root: _points(root, XY)),
-        "axes: y and z swapped": ("axes", lambda root: _points(root, YZ)),
-        "handedness: y to the right": ("axes", lambda root: _points(root, Y_RIGHT)),
-        "points in the camera's frame": ("camera frame", _camera_frame),
+        **geometric(_lidar_yaml, _points, _camera_frame, _event_K),
         "images (events) mirrored": ("mirrored", lambda root: _map(root, _mirrored)),
-        "points in millimetres": ("millimetres", lambda root: _points(root, 1000 * np.eye(3))),
-        "translation in millimetres": (
-            "millimetres",
-            lambda root: _lidar_yaml(root, in_millimetres),
-        ),
-        "degrees taken for radians": (
-            "degrees",
-            lambda root: _lidar_yaml(root, degrees_for_radians),
-        ),
-        "K of half the size": ("resolution", lambda root: _event_K(root, 0.5)),
-        "K of twice the size": ("resolution", lambda root: _event_K(root, 2.0)),
         "distortion k1 = -0.3": ("distortion", lambda root: _map(root, _distorted)),
         "images (events) one frame late": ("clock", lambda root: _offset(root, 400_000)),
         "clocks an hour apart": ("clock", lambda root: _offset(root, _HOUR_US)),
         "time stamps run backwards": ("clock", _backwards),
-        "rotation with a scale": ("rotation", lambda root: _lidar_yaml(root, scaled)),
-        "image (events) truncated": ("truncated", lambda root: _cut(root, "events.h5", 0.6)),
-        "image (events) empty": ("truncated", lambda root: _cut(root, "events.h5", 0.0)),
-        "scan (bag) truncated": ("truncated", lambda root: _cut(root, "*.bag", 0.6)),
-        "scan (bag) empty": ("truncated", lambda root: _cut(root, "*.bag", 0.0)),
-        "no scans": ("scans", lambda root: remove(root, "lidar_imu.bag")),
-        "no images (events)": ("scans", lambda root: remove(root, "events.h5")),
-        "no calibration": ("calibration", lambda root: remove(root, "cam_to_cam.yaml")),
+        **of_files("events.h5", "events.h5", "*.bag", "lidar_imu.bag", "cam_to_cam.yaml"),
     }
 
 
@@ -140,7 +104,3 @@ def _backwards(root: Path) -> None:
         with h5py.File(path, "r+") as file:
             times: NDArray[np.uint32] = file["events/t"][()]
             file["events/t"][...] = times[::-1]
-
-
-def _cut(root: Path, pattern: str, share: float) -> None:
-    cut(first_of_each(root, pattern), share)

@@ -9,44 +9,21 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from breaking import (
-    XY,
-    Y_RIGHT,
-    YZ,
-    Break,
-    Matrix,
-    cut,
-    degrees_for_radians,
-    first_of_each,
-    in_millimetres,
-    inverse,
-    remove,
-    scaled,
-    undistort,
-)
+from breaking import Faults, Matrix, geometric, of_files, undistort
 from uncal.recordings.calibration_files import read_calibration_file
 from uncal.recordings.kitti import KittiRaw
 
 Image = NDArray[np.uint8]
 
 
-def kitti_faults() -> dict[str, tuple[str, Break]]:
+def kitti_faults() -> Faults:
     """Name of a fault → its kind, and what puts it into a KITTI raw folder (camera image_02)."""
     return {
-        "inverted extrinsic": ("inverted", lambda root: _velo(root, inverse)),
-        "axes: x right, y forward": ("axes", lambda root: _points(root, XY)),
-        "axes: y and z swapped": ("axes", lambda root: _points(root, YZ)),
-        "handedness: y to the right": ("axes", lambda root: _points(root, Y_RIGHT)),
-        "points in the camera's frame": ("camera frame", _camera_frame),
+        **geometric(_velo, _points, _camera_frame, _K),
         "images (events) mirrored": (
             "mirrored",
             lambda root: _images(root, lambda image, _: image[:, ::-1]),
         ),
-        "points in millimetres": ("millimetres", lambda root: _points(root, 1000 * np.eye(3))),
-        "translation in millimetres": ("millimetres", lambda root: _velo(root, in_millimetres)),
-        "degrees taken for radians": ("degrees", lambda root: _velo(root, degrees_for_radians)),
-        "K of half the size": ("resolution", lambda root: _K(root, 0.5)),
-        "K of twice the size": ("resolution", lambda root: _K(root, 2.0)),
         "images resized, K kept": ("resolution", lambda root: _images(root, _smaller)),
         "distortion k1 = -0.3": ("distortion", lambda root: _images(root, _distorted)),
         "images (events) one frame late": (
@@ -56,14 +33,7 @@ def kitti_faults() -> dict[str, tuple[str, Break]]:
         "images in another order": ("clock", lambda root: _order(root, _shuffled)),
         "clocks an hour apart": ("clock", lambda root: _stamps(root, lambda i: (14, i))),
         "time stamps run backwards": ("clock", lambda root: _stamps(root, lambda i: (13, -i))),
-        "rotation with a scale": ("rotation", lambda root: _velo(root, scaled)),
-        "image (events) truncated": ("truncated", lambda root: _cut(root, "*.png", 0.6)),
-        "image (events) empty": ("truncated", lambda root: _cut(root, "*.png", 0.0)),
-        "scan (bag) truncated": ("truncated", lambda root: _cut(root, "*.bin", 0.6)),
-        "scan (bag) empty": ("truncated", lambda root: _cut(root, "*.bin", 0.0)),
-        "no scans": ("scans", lambda root: remove(root, "velodyne_points")),
-        "no images (events)": ("scans", lambda root: remove(root, "image_02/data")),
-        "no calibration": ("calibration", lambda root: remove(root, "calib_velo_to_cam.txt")),
+        **of_files("*.png", "image_02/data", "*.bin", "velodyne_points", "calib_velo_to_cam.txt"),
     }
 
 
@@ -150,7 +120,3 @@ def _stamps(root: Path, hour_and_tick: Callable[[int], tuple[int, int]]) -> None
             (drive / sensor / "timestamps.txt").write_text(
                 "\n".join(lines) + "\n", encoding="utf-8"
             )
-
-
-def _cut(root: Path, pattern: str, share: float) -> None:
-    cut(first_of_each(root, pattern), share)

@@ -20,7 +20,7 @@ from uncal.monitor.evidence import Evidence, EvidenceReader
 from uncal.monitor.experiment.cases import FAULT, STEP, STILL, Case, Drive, ExperimentSettings
 from uncal.monitor.experiment.observe import decalibration_of, exchanged, says_moved
 from uncal.monitor.experiment.run import run_experiment
-from uncal.monitor.references import make_references
+from uncal.monitor.reference_windows import make_references
 from uncal.monitor.settings import MonitorSettings
 from uncal.monitor.statistics import STATISTICS
 from uncal.monitor.verdict import Verdict

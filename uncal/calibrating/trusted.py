@@ -16,7 +16,8 @@ from uncal.errors import ConfigurationError, FrameError, RecordingError
 from uncal.inference.split_passes import predict_batches, predict_split
 from uncal.models.split_prediction import SplitPrediction
 from uncal.monitor.evidence import EvidenceReader
-from uncal.monitor.references import INSIDE, ReferenceWindows
+from uncal.monitor.reference_windows import ReferenceWindows
+from uncal.monitor.references import INSIDE
 from uncal.monitor.settings import MonitorSettings
 from uncal.recordings.frame import FrameId, Recording
 from uncal.recordings.static_transform import StaticTransform

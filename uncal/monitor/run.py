@@ -17,7 +17,8 @@ from uncal.monitor.bag_source import BagSettings
 from uncal.monitor.evidence import EvidenceReader
 from uncal.monitor.loop import Loop, outputs_of
 from uncal.monitor.monitor import Monitor
-from uncal.monitor.references import SIMULATED, make_references, references_beside
+from uncal.monitor.reference_windows import make_references
+from uncal.monitor.references import SIMULATED, references_beside
 from uncal.monitor.run_folder import LINES, TABLE, RunFolder
 from uncal.monitor.settings import MonitorSettings
 from uncal.monitor.sources import SourceSettings, check_source, open_recording, stream
