@@ -177,11 +177,13 @@ def test_with_a_reader_that_knows_the_truth(tmp_path: Path, seeing: None) -> Non
     page = run_experiment(config, tmp_path, "python -m …")
 
     assert (tmp_path / "monitor.md").read_text(encoding="utf-8") == page
+    figure = (tmp_path / "monitor_steps.png").read_bytes()
     # Killed before its end it goes on: what is there is not measured again.
     parts = sorted((tmp_path / "observations").glob("*.csv"))
     untouched = {path: path.stat().st_mtime_ns for path in parts[1:]}
     parts[0].unlink()
     assert run_experiment(config, tmp_path, "python -m …") == page
+    assert (tmp_path / "monitor_steps.png").read_bytes() == figure
     assert {path: path.stat().st_mtime_ns for path in parts[1:]} == untouched
     config.window = 3
     with pytest.raises(ConfigurationError, match="window"):

@@ -17,6 +17,7 @@ from omegaconf import DictConfig, OmegaConf
 from uncal.errors import ConfigurationError
 from uncal.geometry.transforms import DOF_NAMES
 from uncal.monitor.experiment.cases import BLIND, STEP, STILL, Case, ExperimentSettings
+from uncal.monitor.experiment.figures import steps_figure
 from uncal.monitor.experiment.observe import RememberingReader, Row, exchanged, fresh, observe
 from uncal.monitor.experiment.page import write_tables
 from uncal.monitor.experiment.store import Store
@@ -24,6 +25,7 @@ from uncal.monitor.experiment.summary import MONITOR, Experiment
 from uncal.monitor.monitor import Monitor
 from uncal.monitor.settings import MonitorSettings, per_dof
 from uncal.recordings.frame import Frame
+from uncal.reporting.figures.style import save
 from uncal.reporting.run_record import commit_of_code
 
 log = logging.getLogger(__name__)
@@ -33,7 +35,7 @@ PAGE_S = 60.0
 
 
 def run_experiment(config: DictConfig, folder: Path, command: str) -> str:
-    """Measure, and write ``observations.csv``, the tables and the page.
+    """Measure, and write ``observations.csv``, the tables, the page and a figure of the steps.
 
     Args:
         config: conf/monitor.yaml with ``+sweeps=monitor``.
@@ -119,9 +121,10 @@ def _write(
         np.asarray(monitor.reader.bounds),
     )
     rows.to_csv(folder / "observations.csv", index=False)
-    return write_tables(
-        folder, experiment.tables(), _notes(settings, monitor, rows, cases), command
-    )
+    tables = experiment.tables()
+    if (figure := steps_figure(tables)) is not None:
+        save(figure, folder)
+    return write_tables(folder, tables, _notes(settings, monitor, rows, cases), command)
 
 
 def _about(config: DictConfig, monitor: Monitor) -> dict[str, object]:
