@@ -24,6 +24,7 @@ from uncal.data.network_input import NetworkInput
 from uncal.edges.selection import select_edges
 from uncal.edges.sweep import find_edges
 from uncal.exporting.graph import OUTPUTS, AlignmentGraph
+from uncal.exporting.operators import onnx_operators
 from uncal.exporting.writer import example, to_onnx
 from uncal.geometry.decalibration import DecalibrationRange, decalibrate
 from uncal.models.module import CalibrationModule
@@ -113,7 +114,8 @@ def _models(weights: Path) -> tuple[CalibrationModule, AlignmentGraph]:
     module.eval()
     assert module.masks is not None
     with torch.no_grad():
-        graph = AlignmentGraph(module, instantiate(recipe.model.inputs), LEVELS, module.masks)
+        inputs = instantiate(recipe.model.inputs)
+        graph = AlignmentGraph(module, inputs, LEVELS, module.masks, onnx_operators)
     return module, graph.eval()
 
 

@@ -25,8 +25,8 @@ from uncal.edges.evidence import project_edges
 from uncal.edges.image import edge_maps
 from uncal.edges.sweep import COLUMNS, KIND
 from uncal.geometry.decalibration import DecalibrationRange
-from uncal.models.alignment import LastRound
 from uncal.models.evidence import EvidenceNetwork
+from uncal.models.last_round import LastRound
 from uncal.system.memory import keep_freed_memory
 
 SIZE = (80, 208)

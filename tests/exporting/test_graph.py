@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +17,10 @@ from uncal.edges.sweep import COLUMNS, find_edges
 from uncal.errors import ConfigurationError
 from uncal.exporting.edges_file import edges_source
 from uncal.exporting.graph import AlignmentGraph
+from uncal.exporting.operators import onnx_operators, torch_operators
 from uncal.exporting.writer import example, to_torch, write_graph
 from uncal.models.module import CalibrationModule
+from uncal.models.operators import Operators
 from uncal.recordings.frame import FrameId
 from uncal.runs.assembly import build_module
 from uncal.runs.checkpoint import load_weights, read_recipe
@@ -54,18 +57,32 @@ def as_batch(image: Tensor, edges: Tensor, K: Tensor, T_init: Tensor) -> Network
     )
 
 
-def make(module: CalibrationModule) -> AlignmentGraph:
+def make(
+    module: CalibrationModule,
+    operators: Callable[[int], Operators] = onnx_operators,
+    levels: Sequence[float] = LEVELS,
+) -> AlignmentGraph:
     assert module.masks is not None
     with torch.no_grad():
-        return AlignmentGraph(module, INPUTS, LEVELS, module.masks).eval()
+        return AlignmentGraph(module, INPUTS, levels, module.masks, operators).eval()
 
 
-@pytest.mark.parametrize("spread", ["solver", "dropout", "total"])
-def test_predicts_what_the_module_predicts(module: CalibrationModule, spread: str) -> None:
+@pytest.mark.parametrize(
+    ("spread", "operators"),
+    [
+        ("solver", onnx_operators),
+        ("solver", torch_operators),
+        ("dropout", onnx_operators),
+        ("total", onnx_operators),
+    ],
+)
+def test_predicts_what_the_module_predicts(
+    module: CalibrationModule, spread: str, operators: Callable[[int], Operators]
+) -> None:
     module.spread = spread
     arguments = example(SIZE, edges=200)
     with torch.no_grad():
-        found = make(module)(*arguments)
+        found = make(module, operators)(*arguments)
     wanted = module.stochastic(as_batch(*arguments), "test")
     bounds = module.estimator.bounds
     assert isinstance(bounds, Tensor)
@@ -100,7 +117,7 @@ def test_too_few_frames_for_a_level_are_named(module: CalibrationModule) -> None
         pytest.warns(UserWarning, match="too few"),
         pytest.raises(ConfigurationError, match="20 calibration frames"),
     ):
-        AlignmentGraph(module, INPUTS, [0.99], module.masks)  # type: ignore[arg-type]
+        make(module, levels=[0.99])
     module.calibrator = before
 
 
@@ -159,7 +176,7 @@ def test_onnxruntime_says_what_pytorch_says(module: CalibrationModule, tmp_path:
 def test_a_saved_program_loads_again_and_says_the_same(
     module: CalibrationModule, tmp_path: Path
 ) -> None:
-    graph = make(module)
+    graph = make(module, torch_operators)
     to_torch(graph, example(SIZE), tmp_path / "graph.pt2")
     program = torch.export.load(tmp_path / "graph.pt2").module()
     for edges in (10, 300):
@@ -176,7 +193,6 @@ def test_a_calibrator_by_drive_is_exported(module: CalibrationModule) -> None:
     zeros = torch.zeros(40, 6)
     known = HierarchicalCalibrator().fit(zeros, zeros + 1.0, torch.rand(40, 6), groups=drives)
     module.calibrator = known
-    with torch.no_grad():
-        graph = AlignmentGraph(module, INPUTS, [0.9], module.masks)  # type: ignore[arg-type]
+    graph = make(module, levels=[0.9])
     assert torch.equal(graph.quantiles[0], known.quantile(0.9))
     module.calibrator = before

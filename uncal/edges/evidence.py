@@ -154,6 +154,10 @@ def gaussian_factors(
     return torch.minimum(torch.maximum(factor, -far), far), precision
 
 
+_PLACES = [i * (11 - i) // 2 + j for i, j in (sorted(divmod(n, 6)) for n in range(36))]
+"""Where :func:`pack` puts the entries of a symmetric matrix, row by row."""
+
+
 def pack(normal: Tensor, right: Tensor) -> Tensor:
     """Normal equations as one row per frame, so that they can be added up and remembered.
 
@@ -182,8 +186,5 @@ def unpack(packed: Tensor) -> tuple[Tensor, Tensor]:
     >>> bool((back[0] == normal).all() and (back[1] == right).all())
     True
     """
-    rows, columns = torch.triu_indices(6, 6, device=packed.device)
-    normal = packed.new_zeros(*packed.shape[:-1], 6, 6)
-    normal[..., rows, columns] = packed[..., :21]
-    normal[..., columns, rows] = packed[..., :21]
-    return normal, packed[..., 21:]
+    places = torch.tensor(_PLACES, device=packed.device)
+    return packed[..., places].reshape(*packed.shape[:-1], 6, 6), packed[..., 21:]

@@ -66,11 +66,12 @@ def box_mean(x: Tensor, half: int) -> Tensor:
     return F.interpolate(mean, x.shape[-2:], mode="bilinear", align_corners=False)
 
 
-def gaussian_kernels(sigma: Tensor) -> Tensor:
+def gaussian_kernels(sigma: Tensor, reach: int | None = None) -> Tensor:
     """Normalised Gaussians, each cut off at its own three σ, whatever its neighbours are.
 
     Args:
         sigma: (B,) pixels.
+        reach: offsets on each side, at least 3 σ; None: no more than the widest needs.
 
     Returns:
         (B, R), R odd.
@@ -78,25 +79,27 @@ def gaussian_kernels(sigma: Tensor) -> Tensor:
     >>> gaussian_kernels(torch.tensor([0.1, 1.0])).shape
     torch.Size([2, 7])
     """
-    reach = math.ceil(3.0 * float(sigma.max()))
+    if reach is None:
+        reach = math.ceil(3.0 * float(sigma.max()))
     offsets = torch.arange(-reach, reach + 1, device=sigma.device, dtype=sigma.dtype)
     kernels = torch.exp(-0.5 * (offsets / sigma[:, None]).square())
     kernels = kernels * (offsets.abs() <= (3.0 * sigma).ceil()[:, None])
     return kernels / kernels.sum(1, keepdim=True)
 
 
-def blurred(maps: Tensor, sigma: Tensor) -> Tensor:
+def blurred(maps: Tensor, sigma: Tensor, reach: int | None = None) -> Tensor:
     """Gaussian blur, of another width for each image; the border repeats.
 
     Args:
         maps: (B, C, H, W).
         sigma: (B,) pixels.
+        reach: as in :func:`gaussian_kernels`.
 
     >>> bool((blurred(torch.ones(1, 2, 8, 8), torch.tensor([1.0])) - 1).abs().max() < 1e-5)
     True
     """
     batch, channels, height, width = maps.shape
-    kernels = gaussian_kernels(sigma).repeat_interleave(channels, 0)
+    kernels = gaussian_kernels(sigma, reach).repeat_interleave(channels, 0)
     reach = kernels.shape[1] // 2
     x = maps.reshape(1, batch * channels, height, width)
     x = F.pad(x, (reach, reach, 0, 0), mode="replicate")

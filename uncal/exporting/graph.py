@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from functools import partial
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import torch
@@ -12,14 +11,13 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from uncal.data.network_input import InputSettings, NetworkInput
-from uncal.edges.evidence import ProjectedEdges, project_edges
+from uncal.edges.evidence import ProjectedEdges, pack, project_edges
 from uncal.edges.sweep import STRENGTH
 from uncal.errors import ConfigurationError
-from uncal.geometry.decalibration import correct
-from uncal.models.alignment import BEYOND, LEAST, PRIOR, AlignmentEstimator
-from uncal.models.edge_alignment import Operators
+from uncal.models.alignment import AlignmentEstimator
 from uncal.models.evidence import BLOCK_PX, BLOCKS, STRIDES
 from uncal.models.module import CalibrationModule
+from uncal.models.operators import Operators
 from uncal.models.pose_search import standard_normals
 from uncal.uncertainty.dropout.layers import dropout_layers, rate_of
 from uncal.uncertainty.dropout.masks import FixedMasks
@@ -50,13 +48,14 @@ class GraphOutput(NamedTuple):
 
 
 class AlignmentGraph(nn.Module):
-    """The whole prediction of one frame, of operations that ONNX has.
+    """The whole prediction of one frame, without what depends on the data it meets.
 
     Args:
         module: an :class:`AlignmentEstimator` with a fitted calibrator.
         inputs: how its images are normalised.
         levels: coverage levels.
         masks: of the stochastic passes; those of the module if its own are fixed.
+        operators: those that the graph's runtime has, for a reach of the blur in pixels.
 
     Raises:
         ConfigurationError: another network, or a calibrator whose quantiles are not one number per
@@ -74,6 +73,7 @@ class AlignmentGraph(nn.Module):
         inputs: InputSettings,
         levels: Sequence[float],
         masks: FixedMasks,
+        operators: Callable[[int], Operators],
     ) -> None:
         super().__init__()
         estimator = module.estimator
@@ -85,6 +85,7 @@ class AlignmentGraph(nn.Module):
         if module.engine.passes < 2:
             raise ConfigurationError("mcd.passes=1: export needs at least 2 passes")
         self.estimator = estimator
+        self.operators = operators
         self.widest_blur = 0.0
         if estimator.start is not None:
             self.widest_blur = float(estimator.start.network.blur.max())
@@ -141,63 +142,29 @@ class AlignmentGraph(nn.Module):
             Pose and intervals, metres and radians.
         """
         x = (image.permute(2, 0, 1)[None].float() / 255.0 - self.mean_rgb) / self.std_rgb
-        edges, K, T_init = edges[None], K[None], T_init[None]
-        size = (x.shape[-2], x.shape[-1])
-        last = self.estimator.last
-        maps = last.network.describe(x)
-        pose, covariance, precision = self.begin(x, edges, K, T_init)
-        before = pose
-        before_last = len(self.estimator.rounds) - 1
-        for number, level in enumerate(self.estimator.rounds[:-1]):
-            T = correct(T_init, pose * last.bounds)
-            projected = project_edges(edges, K, T, size, last.bounds)
-            read = last.network.read(maps, projected, level)
-            curves, weights = last.network.curves(read, edges, K, projected, level)
-            around = self.estimator.around(number, covariance)
-            normal, right = last.equations(curves, weights, projected, around, level)
-            pose, covariance = solve(normal, right, pose, before, precision)
-        T = correct(T_init, pose * last.bounds)
-        projected = project_edges(edges, K, T, size, last.bounds)
-        level = len(STRIDES) - 1
-        curves, weights = self.random_curves(
-            last.network.read(maps, projected, level), edges, K, projected
+        unit, target = torch.zeros(1, dtype=torch.int64), torch.zeros(1, 6)
+        batch = NetworkInput(
+            x, x[:, :1], K[None], T_init[None], target, unit, [], unit, edges[None]
         )
-        around = self.estimator.around(before_last, covariance)
-        normal, right = last.equations(curves, weights, projected, around, level)
-        poses, _ = solve(normal, right, pose, before, precision)
-        mean = normal.mean(0, keepdim=True), right.mean(0, keepdim=True)
-        _, of_solver = solve(*mean, pose, before, precision)
-        return self.intervals(
-            poses * last.bounds, of_solver[0] * last.bounds[:, None] * last.bounds
-        )
-
-    def begin(
-        self, x: Tensor, edges: Tensor, K: Tensor, T_init: Tensor
-    ) -> tuple[Tensor, Tensor, Tensor]:
-        """:meth:`AlignmentEstimator.begin` of operations that ONNX has.
-
-        Args:
-            x: (1, 3, H, W) normalised image.
-            edges: (1, M, columns).
-            K: (1, 3, 3).
-            T_init: (1, 4, 4).
-
-        Returns:
-            Mean (1, 6), covariance and precision (1, 6, 6) before the first round.
-        """
-        eye = torch.eye(6)[None]
-        estimator = self.estimator
-        if estimator.start is None:
-            return torch.zeros_like(T_init[:, 0, :1]).expand(1, 6), eye / PRIOR, PRIOR * eye
-        unit = torch.zeros(1, dtype=torch.int64)
-        target = torch.zeros(1, 6)
-        batch = NetworkInput(x, x[:, :1], K, T_init, target, unit, [], unit, edges)
+        estimator, last = self.estimator, self.estimator.last
         widest = self.widest_blur * LONGEST_FOCAL * x.shape[-1]
-        blur = partial(blurred_by_shifts, reach=math.ceil(3.0 * widest))
-        state = estimator.start.align(batch, Operators(factor, normal_distribution, blur))
-        covariance = estimator.start_inflation * state.covariance + LEAST * eye
-        inverse = inverse_factor(covariance)
-        return state.pose, covariance, inverse.transpose(1, 2) @ inverse
+        operators = self.operators(math.ceil(3.0 * widest))
+        maps = last.network.describe(x)
+        before_last = len(estimator.rounds) - 1
+        state = estimator.begin(batch, operators)
+        state = estimator.refine(batch, maps, state, before_last, operators)
+        T, size = estimator.assumed(batch, state), (x.shape[-2], x.shape[-1])
+        projected = project_edges(batch.edges, batch.K, T, size, last.bounds)
+        level = len(STRIDES) - 1
+        read = last.network.read(maps, projected, level)
+        curves, weights = self.random_curves(read, batch.edges, batch.K, projected)
+        around = estimator.around(before_last, state.covariance)
+        packed = pack(*last.equations(curves, weights, projected, around, level))
+        poses = estimator.solve(packed, state, operators).pose
+        mean = packed.mean(0, keepdim=True)
+        covariance = estimator.solve(mean, state, operators).covariance[0]
+        scales = last.bounds[:, None] * last.bounds
+        return self.intervals(poses * last.bounds, covariance * scales)
 
     def random_curves(
         self, read: Tensor, edges: Tensor, K: Tensor, projected: ProjectedEdges
@@ -247,110 +214,3 @@ class AlignmentGraph(nn.Module):
         return GraphOutput(
             mean, *anchors.widened(self.quantiles), *anchors.widened(self.joint_quantiles)
         )
-
-
-def solve(
-    normal: Tensor, right: Tensor, pose: Tensor, before: Tensor, precision: Tensor
-) -> tuple[Tensor, Tensor]:
-    """:meth:`AlignmentEstimator.solve` without linear-algebra operators, which ONNX lacks.
-
-    Args:
-        normal: (N, 6, 6) normal equations of what is left.
-        right: (N, 6).
-        pose: (1, 6) so far, in units of the range.
-        before: (1, 6) mean of the prior.
-        precision: (1, 6, 6) of the prior.
-
-    Returns:
-        (N, 6) total decalibration, (N, 6, 6) covariance.
-
-    >>> _ = torch.manual_seed(0)
-    >>> A, zero = torch.randn(2, 6, 9), torch.zeros(1, 6)
-    >>> prior = PRIOR * torch.eye(6)
-    >>> _, covariance = solve(A @ A.mT, torch.zeros(2, 6), zero, zero, prior[None])
-    >>> torch.allclose(covariance, torch.linalg.inv(A @ A.mT + prior), atol=1e-5)
-    True
-    """
-    inverse = inverse_factor(normal + precision)
-    covariance = inverse.transpose(1, 2) @ inverse
-    right = right + (precision @ (before - pose)[..., None])[..., 0]
-    step = (covariance @ right[..., None])[..., 0]
-    return (pose + step).clamp(-BEYOND, BEYOND), covariance
-
-
-def blurred_by_shifts(maps: Tensor, sigma: Tensor, reach: int) -> Tensor:
-    """:func:`uncal.edges.image.blurred` without a kernel that is computed, which ONNX lacks.
-
-    Args:
-        maps: (1, C, H, W).
-        sigma: (1,) pixels.
-        reach: offsets on each side, at least 3 σ.
-
-    >>> from uncal.edges.image import blurred
-    >>> maps, sigma = torch.rand(1, 2, 20, 30), torch.tensor([1.7])
-    >>> torch.allclose(blurred_by_shifts(maps, sigma, 9), blurred(maps, sigma), atol=1e-6)
-    True
-    """
-    offsets = torch.arange(-reach, reach + 1, dtype=maps.dtype)
-    kernel = torch.exp(-0.5 * (offsets / sigma).square()) * (offsets.abs() <= (3.0 * sigma).ceil())
-    kernel = kernel / kernel.sum()
-    height, width = maps.shape[-2:]
-    rows = F.pad(maps, (0, 0, reach, reach), mode="replicate")
-    maps = sum(
-        (kernel[i] * rows[..., i : i + height, :] for i in range(2 * reach + 1)),
-        torch.zeros_like(maps),
-    )
-    columns = F.pad(maps, (reach, reach, 0, 0), mode="replicate")
-    return sum(
-        (kernel[i] * columns[..., i : i + width] for i in range(2 * reach + 1)),
-        torch.zeros_like(maps),
-    )
-
-
-def normal_distribution(y: Tensor) -> Tensor:
-    """Cumulative normal distribution, through the error function."""
-    return 0.5 * (1.0 + torch.erf(y / math.sqrt(2.0)))
-
-
-def factor(matrix: Tensor) -> Tensor:
-    """Lower Cholesky factor of (N, 6, 6), unrolled."""
-    L = _entries(matrix)
-    zero = torch.zeros_like(matrix[:, 0, 0])
-    rows = [torch.stack([*row, *[zero] * (5 - i)], -1) for i, row in enumerate(L)]
-    return torch.stack(rows, -2)
-
-
-def _entries(matrix: Tensor) -> list[list[Tensor]]:
-    """Rows of L in A = L Lᵀ, entry by entry."""
-    L: list[list[Tensor]] = []
-    for i in range(6):
-        L.append([])
-        for j in range(i + 1):
-            value = matrix[:, i, j]
-            for k in range(j):
-                value = value - L[i][k] * L[j][k]
-            L[i].append(value.sqrt() if i == j else value / L[j][j])
-    return L
-
-
-def inverse_factor(matrix: Tensor) -> Tensor:
-    """L⁻¹ of the Cholesky factorisation A = L Lᵀ, unrolled.
-
-    Args:
-        matrix: (N, 6, 6) symmetric positive definite.
-
-    Returns:
-        (N, 6, 6) lower triangular.
-    """
-    L = _entries(matrix)
-    X: list[list[Tensor]] = []
-    zero = torch.zeros_like(matrix[:, 0, 0])
-    for i in range(6):
-        row = []
-        for j in range(i):
-            value = zero
-            for k in range(j, i):
-                value = value - L[i][k] * X[k][j]
-            row.append(value / L[i][i])
-        X.append([*row, 1.0 / L[i][i], *[zero] * (5 - i)])
-    return torch.stack([torch.stack(row, -1) for row in X], -2)

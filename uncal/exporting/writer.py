@@ -17,6 +17,7 @@ from uncal.edges.sweep import COLUMNS
 from uncal.errors import ConfigurationError
 from uncal.exporting.edges_file import edges_source
 from uncal.exporting.graph import INPUTS, OUTPUTS, AlignmentGraph
+from uncal.exporting.operators import onnx_operators, torch_operators
 from uncal.runs.assembly import build_module
 from uncal.runs.checkpoint import load_weights, read_recipe
 from uncal.system.disk import check_writable
@@ -67,7 +68,7 @@ def write_graph(
             f"format=onnx needs {' and '.join(missing)}: pip install 'uncal[export]'"
         )
     check_writable(out)
-    graph, inputs = make_graph(weights, levels, mask_seed)
+    graph, inputs = make_graph(weights, format, levels, mask_seed)
     arguments = example(size)
     (to_onnx if format == "onnx" else to_torch)(graph, arguments, out)
     finder = out.with_name(f"{out.stem}_edges.py")
@@ -142,12 +143,13 @@ def to_torch(graph: AlignmentGraph, arguments: tuple[Tensor, ...], out: Path) ->
 
 
 def make_graph(
-    weights: Path, levels: Sequence[float] | None, mask_seed: int
+    weights: Path, format: str, levels: Sequence[float] | None, mask_seed: int
 ) -> tuple[AlignmentGraph, InputSettings]:
     """The graph of trained weights, in evaluation mode.
 
     Args:
         weights: a checkpoint, or shipped weights.
+        format: one of :data:`FORMATS`.
         levels: coverage levels; None: those of the weights.
         mask_seed: of the masks, where the weights have none of their own.
 
@@ -178,7 +180,8 @@ def make_graph(
     module.eval()
     with torch.no_grad():
         chosen = list(recipe.interval.levels) if levels is None else levels
-        return AlignmentGraph(module, inputs, chosen, masks).eval(), inputs
+        operators = onnx_operators if format == "onnx" else torch_operators
+        return AlignmentGraph(module, inputs, chosen, masks, operators).eval(), inputs
 
 
 def example(size: tuple[int, int], edges: int = 64) -> tuple[Tensor, Tensor, Tensor, Tensor]:

@@ -10,22 +10,16 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from uncal.data.network_input import NetworkInput
-from uncal.edges.evidence import (
-    ProjectedEdges,
-    gaussian_factors,
-    offsets_of,
-    pack,
-    project_edges,
-    sharp_component,
-    unpack,
-)
+from uncal.edges.evidence import pack, project_edges, sharp_component, unpack
 from uncal.errors import ConfigurationError
 from uncal.geometry.decalibration import correct, decalibrate
 from uncal.geometry.projection import true_displacement
 from uncal.models.answer import Answer, Prior, Question, State
 from uncal.models.edge_alignment import EdgeAlignmentEstimator
 from uncal.models.evidence import STRIDES, EvidenceNetwork
+from uncal.models.last_round import LastRound
 from uncal.models.losses import cross_entropy, surprise
+from uncal.models.operators import EAGER, Operators
 
 PRIOR = 3.0
 """Precision of a uniform distribution over -1..1, the decalibrations in units of their range."""
@@ -70,154 +64,6 @@ class LearningSettings:
                 f"pose_weight={self.pose_weight}, precision_weight={self.precision_weight}: "
                 f"expected {n} numbers each with 0 < smallest ≤ largest ≤ 1, weights from 0 on"
             )
-
-
-class LastRound(nn.Module):
-    """One round for given extrinsics: the part of an estimate that stochastic passes repeat.
-
-    Args:
-        network: gives the curves.
-        bounds: (6,) range of the decalibrations, metres and radians.
-    """
-
-    bounds: Tensor
-
-    def __init__(self, network: EvidenceNetwork, bounds: Tensor) -> None:
-        super().__init__()
-        self.network = network
-        self.register_buffer("bounds", bounds.clone())
-        # Errors of neighbouring edges are alike: what they say together is less than their sum.
-        self.log_share = nn.Parameter(torch.full((len(STRIDES),), -1.5))
-        self.log_blur = nn.Parameter(torch.tensor([1.4, 0.7, -0.3]))
-        self.look = Look(self)
-
-    def forward(self, x: Tensor, edges: Tensor, K: Tensor, T: Tensor, covariance: Tensor) -> Tensor:
-        """Normal equations of every frame at the finest scale.
-
-        Args:
-            x: (B, C, H, W) network input.
-            edges: (B, M, columns).
-            K: (B, 3, 3) camera matrices.
-            T: (B, 4, 4) extrinsics as they are assumed now.
-            covariance: (B, 6, 6) of the pose, in units of the range.
-
-        Returns:
-            (B, 27) packed; see :func:`uncal.edges.evidence.pack`.
-        """
-        level = len(STRIDES) - 1
-        projected, read = self.look(x, edges, K, T)
-        curves, weights = self.network.curves(read, edges, K, projected, level)
-        return pack(*self.equations(curves, weights, projected, covariance, level))
-
-    def equations(
-        self,
-        curves: Tensor,
-        weights: Tensor,
-        projected: ProjectedEdges,
-        covariance: Tensor,
-        level: int,
-    ) -> tuple[Tensor, Tensor]:
-        """Sum of the edges' Gaussian contributions.
-
-        Args:
-            curves: (B, M, R) log-likelihoods.
-            weights: (B, M) how much each edge counts.
-            projected: the edges.
-            covariance: (B, 6, 6) of the pose, in units of the range.
-            level: which of :data:`~uncal.models.evidence.STRIDES`.
-
-        Returns:
-            (B, 6, 6) and (B, 6) normal equations of what is left of the decalibration.
-        """
-        J = projected.jacobian
-        mean, weight = self.factors(curves, weights, projected, covariance, level)
-        weighted = (J * weight[..., None]).transpose(1, 2)
-        return weighted @ J, (weighted @ mean[..., None]).squeeze(-1)
-
-    def factors(
-        self,
-        curves: Tensor,
-        weights: Tensor,
-        projected: ProjectedEdges,
-        covariance: Tensor,
-        level: int,
-    ) -> tuple[Tensor, Tensor]:
-        """Gaussian contribution of each edge.
-
-        Args:
-            curves: (B, M, R) log-likelihoods.
-            weights: (B, M) how much each edge counts.
-            projected: the edges.
-            covariance: (B, 6, 6) of the pose, in units of the range.
-            level: which of :data:`~uncal.models.evidence.STRIDES`.
-
-        Returns:
-            (B, M) offsets in pixels, and (B, M) precisions in 1/pixels².
-        """
-        J = projected.jacobian
-        variance = ((J @ covariance) * J).sum(-1) + (2 * self.log_blur[level]).exp()
-        offsets = offsets_of(STRIDES[level], self.network.reach[level], curves)
-        mean, precision = gaussian_factors(curves, offsets, variance, STRIDES[level])
-        return mean, precision * weights * self.log_share[level].exp()
-
-    def residual(
-        self, x: Tensor, edges: Tensor, K: Tensor, T: Tensor, covariance: Tensor
-    ) -> Tensor:
-        """How far from their places in the image the solved pose leaves the edges.
-
-        Args:
-            x: (B, C, H, W) network input.
-            edges: (B, M, columns).
-            K: (B, 3, 3) camera matrices.
-            T: (B, 4, 4) extrinsics as they are assumed now.
-            covariance: (B, 6, 6) of the pose, in units of the range.
-
-        Returns:
-            (B,) root of the weighted mean of squared offsets, pixels.
-        """
-        level = len(STRIDES) - 1
-        projected, read = self.look(x, edges, K, T)
-        curves, weights = self.network.curves(read, edges, K, projected, level)
-        mean, weight = self.factors(curves, weights, projected, covariance, level)
-        J = projected.jacobian
-        weighted = (J * weight[..., None]).transpose(1, 2)
-        normal = weighted @ J + torch.linalg.inv(covariance)
-        step = torch.linalg.solve(normal, weighted @ mean[..., None])
-        left = mean - (J @ step).squeeze(-1)
-        mean_square: Tensor = (weight * left**2).sum(-1) / weight.sum(-1).clamp(min=1e-9)
-        return mean_square.sqrt()
-
-
-class Look(nn.Module):
-    """Projection and features around the edges: nothing random, so that passes share it.
-
-    Args:
-        owner: whose network and bounds it uses; not registered a second time.
-    """
-
-    def __init__(self, owner: LastRound) -> None:
-        super().__init__()
-        self._owner = [owner]
-
-    def forward(
-        self, x: Tensor, edges: Tensor, K: Tensor, T: Tensor
-    ) -> tuple[ProjectedEdges, Tensor]:
-        """What :class:`LastRound` needs of the image.
-
-        Args:
-            x: (B, C, H, W) network input.
-            edges: (B, M, columns).
-            K: (B, 3, 3) camera matrices.
-            T: (B, 4, 4) extrinsics as they are assumed now.
-
-        Returns:
-            The projected edges and the features around them.
-        """
-        owner = self._owner[0]
-        size = (x.shape[-2], x.shape[-1])
-        projected = project_edges(edges, K, T, size, owner.bounds)
-        maps = owner.network.describe(x)
-        return projected, owner.network.read(maps, projected, len(STRIDES) - 1)
 
 
 class AlignmentEstimator(nn.Module):
@@ -285,26 +131,45 @@ class AlignmentEstimator(nn.Module):
         """(6,) range of the decalibrations, metres and radians."""
         return self.last.bounds
 
-    def begin(self, batch: NetworkInput) -> State:
+    def begin(self, batch: NetworkInput, operators: Operators = EAGER) -> State:
         """What is known before the first round.
 
         Args:
             batch: B frames of n units.
+            operators: others where an exported graph lacks the usual ones.
         """
         n = len(batch.unit_index)
         if self.start is None:
             return State(
                 batch.K.new_zeros(n, 6), (torch.eye(6) / PRIOR).to(batch.K).expand(n, 6, 6)
             )
-        pose, covariance, _ = self.start.align(batch)
+        pose, covariance, _ = self.start.align(batch, operators)
         covariance = self.start_inflation * covariance + LEAST * torch.eye(6).to(covariance)
-        return State(pose, covariance, Prior(pose, torch.linalg.inv(covariance)))
+        return State(pose, covariance, Prior(pose, operators.inverse(covariance)))
 
     def align(self, batch: NetworkInput, rounds: int) -> State:
         """The first rounds, without dropout."""
-        n = len(batch.unit_index)
-        state = self.begin(batch)
-        maps = self.last.network.describe(batch.x)
+        return self.refine(
+            batch, self.last.network.describe(batch.x), self.begin(batch), rounds, EAGER
+        )
+
+    def refine(
+        self,
+        batch: NetworkInput,
+        maps: list[tuple[Tensor, Tensor]],
+        state: State,
+        rounds: int,
+        operators: Operators,
+    ) -> State:
+        """The first rounds from :meth:`begin` on.
+
+        Args:
+            batch: B frames of n units.
+            maps: features of the frames' images.
+            state: what is known before.
+            rounds: how many.
+            operators: as in :meth:`begin`.
+        """
         size = (batch.x.shape[-2], batch.x.shape[-1])
         for number, level in enumerate(self.rounds[:rounds]):
             T = self.assumed(batch, state)
@@ -313,7 +178,8 @@ class AlignmentEstimator(nn.Module):
             curves, weights = self.last.network.curves(read, batch.edges, batch.K, projected, level)
             around = self.around(number, state.covariance)[batch.unit]
             equations = self.last.equations(curves, weights, projected, around, level)
-            state = self.solve(self.fuse(pack(*equations), batch.unit, n), state)
+            packed = self.fuse(pack(*equations), batch.unit, len(batch.unit_index))
+            state = self.solve(packed, state, operators)
         return state
 
     def around(self, number: int, covariance: Tensor) -> Tensor:
@@ -351,12 +217,13 @@ class AlignmentEstimator(nn.Module):
         return total.index_add(packed.ndim - 2, unit, packed)
 
     @staticmethod
-    def solve(packed: Tensor, state: State) -> State:
+    def solve(packed: Tensor, state: State, operators: Operators = EAGER) -> State:
         """The total decalibration after one round, and its covariance.
 
         Args:
             packed: (..., n, 27) normal equations of what is left.
             state: before.
+            operators: as in :meth:`begin`.
 
         Returns:
             (..., n, 6) and (..., n, 6, 6).
@@ -364,11 +231,9 @@ class AlignmentEstimator(nn.Module):
         normal, right = unpack(packed)
         uniform = Prior(torch.zeros_like(state.pose), PRIOR * torch.eye(6).to(normal))
         mean, precision = state.prior or uniform
-        factor = torch.linalg.cholesky(normal + precision)
         right = right + (precision @ (mean - state.pose)[..., None]).squeeze(-1)
-        step = torch.cholesky_solve(right[..., None], factor).squeeze(-1)
-        pose = (state.pose + step).clamp(-BEYOND, BEYOND)
-        return State(pose, torch.cholesky_inverse(factor), state.prior)
+        step, covariance = operators.solve(normal + precision, right)
+        return State((state.pose + step).clamp(-BEYOND, BEYOND), covariance, state.prior)
 
     @property
     def repeated(self) -> nn.Module:

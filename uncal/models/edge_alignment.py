@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
-from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -12,13 +11,14 @@ from torch.nn import functional as F
 
 from uncal.data.network_input import NetworkInput
 from uncal.edges.evidence import NEAREST_M
-from uncal.edges.image import IMAGE_EDGES, blurred, edge_maps
+from uncal.edges.image import IMAGE_EDGES, edge_maps
 from uncal.edges.sweep import KIND, KINDS, N_ACROSS, STRENGTH
 from uncal.errors import ConfigurationError, UncalError
 from uncal.geometry.decalibration import correct
 from uncal.geometry.transforms import transform_points
 from uncal.models.answer import Answer, Question, State
-from uncal.models.pose_search import LogLikelihood, Operator, SearchSettings, search
+from uncal.models.operators import EAGER, Operators
+from uncal.models.pose_search import LogLikelihood, SearchSettings, search
 
 
 class EdgeAlignment(nn.Module):
@@ -149,23 +149,6 @@ def score(strength: Tensor, edges: Tensor, weights: Tensor, K: Tensor, T: Tensor
     along = (edges[..., KIND] >= N_ACROSS).to(weights.dtype)
     of_directions = torch.stack([weights * (1.0 - along), weights * along], 1)
     return (of_directions[:, :, None] @ found).squeeze(2).sum(1)
-
-
-class Operators(NamedTuple):
-    """What not every runtime has.
-
-    Attributes:
-        cholesky: as in :func:`uncal.models.pose_search.search`.
-        ndtr: the same.
-        blur: as :func:`uncal.edges.image.blurred`.
-    """
-
-    cholesky: Operator
-    ndtr: Operator
-    blur: Callable[[Tensor, Tensor], Tensor]
-
-
-EAGER = Operators(torch.linalg.cholesky, torch.special.ndtr, blurred)
 
 
 class EdgeAlignmentEstimator(nn.Module):
