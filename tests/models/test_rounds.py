@@ -28,6 +28,7 @@ from uncal.models.answer import State
 from uncal.models.edge_alignment import EdgeAlignmentEstimator
 from uncal.models.evidence import STRIDES, EvidenceNetwork
 from uncal.models.losses import cross_entropy, surprise
+from uncal.models.operators import Operators
 from uncal.recordings.frame import FrameId
 from uncal.uncertainty import MCDropout
 
@@ -403,7 +404,7 @@ def test_surprise_by_hand() -> None:
 class Elsewhere(nn.Module):
     """A start that always answers the same."""
 
-    def align(self, batch: NetworkInput) -> State:
+    def align(self, batch: NetworkInput, operators: Operators) -> State:
         pose = torch.linspace(-0.5, 0.5, 6).expand(len(batch.unit_index), 6)
         return State(pose, 0.09 * torch.eye(6).expand(len(pose), 6, 6))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import warnings
 from collections.abc import Iterator
 from functools import cache
@@ -57,13 +58,14 @@ def hydra_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 @cache
-def composed(base: int) -> tuple[DictConfig, DictConfig]:
+def composed(base: int) -> tuple[bytes, DictConfig]:
+    """A configuration pickled, which takes an eighth of the time of a deep copy, and its defaults."""
     with initialize_config_dir(CONFIG_DIR, version_base="1.3"):
         config = compose("train", list(CHOICES[base]), return_hydra_config=True)
     choices = {str(k): v for k, v in config.hydra.runtime.choices.items() if isinstance(v, str)}
     with open_dict(config):
         config.pop("hydra")
-    return config, shipped_config("train", choices)
+    return pickle.dumps(config), shipped_config("train", choices)
 
 
 def keys_of(node: object, path: str = "") -> Iterator[str]:
@@ -81,7 +83,7 @@ def places() -> list[tuple[int, str]]:
     return [
         (base, key)
         for base in range(len(CHOICES))
-        for key in keys_of(OmegaConf.to_container(composed(base)[0]))
+        for key in keys_of(OmegaConf.to_container(pickle.loads(composed(base)[0])))
     ]
 
 
@@ -122,8 +124,8 @@ def refusal(config: DictConfig, shipped: DictConfig) -> str | None:
 @given(PLACE, st.sampled_from(VALUES))
 def test_any_value_of_any_key(place: tuple[int, str], value: object) -> None:
     base, key = place
-    config, shipped = composed(base)
-    config = config.copy()
+    pickled, shipped = composed(base)
+    config = pickle.loads(pickled)
     with open_dict(config):
         OmegaConf.update(config, key, value, merge=False)
     said = refusal(config, shipped)
@@ -138,8 +140,8 @@ def test_any_misspelt_key_is_named(place: tuple[int, str], letter: str, where: i
     wrong = name[: where % len(name)] + letter + name[where % len(name) :]
     if name.startswith("_"):
         return
-    config, shipped = composed(base)
-    config = config.copy()
+    pickled, shipped = composed(base)
+    config = pickle.loads(pickled)
     with open_dict(config):
         OmegaConf.update(config, f"{group}.{wrong}" if group else wrong, 1, force_add=True)
     with pytest.raises(UncalError, match=wrong):

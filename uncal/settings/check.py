@@ -94,6 +94,10 @@ def _faults(
     default = defaults.get(key)
     if isinstance(raw, str) and (_OF_HYDRA.search(raw) or ("${" in raw and raw == default)):
         return  # as shipped: what it refers to is checked where it stands
+    if isinstance(raw, Mapping) and isinstance(default, dict | None):
+        return  # a group: its keys are checked one by one
+    if default is not None and type(raw) is type(default) and raw == default:
+        return
     if raw == "???":
         yield f"{key}: must be given, as {key}=…"
         return
