@@ -24,8 +24,8 @@ from uncal.data.network_input import NetworkInput
 from uncal.edges.selection import select_edges
 from uncal.edges.sweep import find_edges
 from uncal.exporting.graph import OUTPUTS, AlignmentGraph
-from uncal.exporting.operators import onnx_operators
-from uncal.exporting.writer import example, to_onnx
+from uncal.exporting.operators import onnx_operators, torch_operators
+from uncal.exporting.writer import example, to_inductor, to_onnx, to_torch
 from uncal.geometry.decalibration import DecalibrationRange, decalibrate
 from uncal.models.module import CalibrationModule
 from uncal.recordings.frame import Frame, FrameId
@@ -54,9 +54,18 @@ def main(out: Path, root: Path, frames: int = 50) -> None:
         to_onnx(graph, example(size), file)
         megabytes = file.stat().st_size / 1e6
         session = _onnx(file)
+        graph.operators = torch_operators
+        to_torch(graph, example(size), file.with_suffix(".pt2"))
+        program = torch.export.load(file.with_suffix(".pt2")).module()
+        begin = time.perf_counter()
+        to_inductor(graph, example(size, most), file.with_suffix(".aot.pt2"))
+        minutes = (time.perf_counter() - begin) / 60.0
+        compiled = torch._inductor.aoti_load_package(str(file.with_suffix(".aot.pt2")))
     ways: dict[str, Callable[[Arguments], Answer]] = {
         "graph in PyTorch": lambda given: list(graph(*given)),
         "onnxruntime": session,
+        "`torch.export`, loaded again": lambda given: list(program(*given)),
+        "AOTInductor": lambda given: list(compiled(*given)),
         "uncal itself": _module(module, graph),
     }
     worst = {way: np.zeros(len(OUTPUTS)) for way in ways}
@@ -98,7 +107,8 @@ def main(out: Path, root: Path, frames: int = 50) -> None:
         "",
         f"Reading a frame and finding its edges with NumPy takes {np.median(finding) / eager:.2f} "
         "of that unit more, whichever way.",
-        f"torch {torch.__version__}, onnxruntime {onnxruntime.__version__}.",
+        f"AOTInductor compiled for {minutes:.0f} minutes. torch {torch.__version__}, onnxruntime "
+        f"{onnxruntime.__version__}.",
         "",
     ]
     out.with_suffix(".md").write_text("\n".join(lines), encoding="utf-8")

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import os
 import re
 import shlex
 import subprocess
-import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+
+Run = Callable[..., "subprocess.CompletedProcess[str]"]
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "own-rig.md"
@@ -31,19 +32,16 @@ def test_the_session_goes_all_the_way() -> None:
 
 
 @pytest.mark.slow
-def test_every_command_of_the_session_runs(tmp_path: Path) -> None:
+def test_every_command_of_the_session_runs(tmp_path: Path, start: Run, start_process: Run) -> None:
     pytest.importorskip("onnxscript")
     said = {}
     for words in commands():
-        asked = [SMALLER.get(word, word) for word in words[1:]] + FASTER.get(words[2], [])
-        done = subprocess.run(
-            [sys.executable, *asked],
-            cwd=tmp_path,
-            env={**os.environ, "PYTHONPATH": str(ROOT)},
-            capture_output=True,
-            text=True,
-            check=False,
-        )
+        assert words[:2] == ["python", "-m"]
+        asked = [SMALLER.get(word, word) for word in words[3:]] + FASTER.get(words[2], [])
+        # Only as a program of its own does this one choose the dataset.
+        ask = start_process if words[2] == "uncal.calibrate" else start
+        module = f"{words[2]}.__main__" if words[2] == "uncal.monitor" else words[2]
+        done = ask(module, *asked, cwd=tmp_path)
         assert done.returncode == 0, (words, done.stdout[-2000:], done.stderr[-2000:])
         said[words[2]] = done.stdout
     assert "pairs: 4" in said["uncal.convert"]

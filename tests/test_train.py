@@ -268,6 +268,8 @@ def test_real_frames_run_to_their_table(
         f"dataset.root={kitti_root}",
         "trainer.max_epochs=1",
         "mcd.passes=3",
+        "dataset.image_size=[96,320]",
+        "callbacks.figures=null",
         "hydra.run.dir=real",
         cwd=workplace,
     )

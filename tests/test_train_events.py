@@ -97,6 +97,8 @@ def test_a_stand_in_for_dsec_runs_from_simulation_to_table(workplace: Path, star
         "model/inputs/events=time_surface",
         "model/backbone=mobilevit_xxs",
         "model/head=mlp",
+        "callbacks.figures=null",
+        "callbacks.interval_overlays=null",
         "hydra.run.dir=dsec",
     ]
     output = finished(start("uncal.train", *command, *TRAINED, cwd=workplace))

@@ -21,12 +21,11 @@ SWEPT = ("-m", "mcd.passes=2,0,3")
 @pytest.mark.parametrize(
     "launcher",
     [
-        ("hydra/launcher=joblib", "hydra.launcher.n_jobs=2"),
         # Jobs that start processes of their own, to load frames.
         ("hydra/launcher=joblib", "hydra.launcher.n_jobs=2", "dataset.loader.workers=2"),
         ("hydra/launcher=submitit_local",),
     ],
-    ids=["joblib", "joblib and loading processes", "submitit_local"],
+    ids=["joblib and loading processes", "submitit_local"],
 )
 def test_parallel_jobs_end_as_those_in_turn_do(
     launcher: tuple[str, ...],

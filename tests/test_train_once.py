@@ -14,7 +14,8 @@ Train = Callable[..., str]
 
 @pytest.fixture(scope="module")
 def words(tiny: list[str], quick: list[str]) -> list[str]:
-    return [*tiny, *quick, "dataset.validations=3", "trainer.max_epochs=3"]
+    edges = ("model.edges=256", "model.train_edges=64", "model.start.search.samples=32")
+    return [*tiny, *quick, *edges, "dataset.validations=3", "trainer.max_epochs=3"]
 
 
 @pytest.fixture(scope="module")

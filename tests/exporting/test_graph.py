@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
@@ -18,7 +19,7 @@ from uncal.errors import ConfigurationError
 from uncal.exporting.edges_file import edges_source
 from uncal.exporting.graph import AlignmentGraph
 from uncal.exporting.operators import onnx_operators, torch_operators
-from uncal.exporting.writer import example, to_torch, write_graph
+from uncal.exporting.writer import example, to_inductor, to_torch, write_graph
 from uncal.models.module import CalibrationModule
 from uncal.models.operators import Operators
 from uncal.recordings.frame import FrameId
@@ -185,6 +186,28 @@ def test_a_saved_program_loads_again_and_says_the_same(
             found, wanted = program(*arguments), graph(*arguments)
         for one, other in zip(found, wanted, strict=True):
             torch.testing.assert_close(one, other, atol=1e-6, rtol=1e-5)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not shutil.which("g++"), reason="needs g++")
+def test_a_compiled_program_says_the_same(
+    module: CalibrationModule, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # A search of nine rounds compiles for minutes.
+    start = module.estimator.start
+    monkeypatch.setattr(start.network, "rounds", (1,))  # type: ignore[union-attr]
+    monkeypatch.setattr(module.estimator, "rounds", [2])
+    graph = make(module, torch_operators)
+    to_inductor(graph, example(SIZE, 300), tmp_path / "graph.pt2")
+    compiled = torch._inductor.aoti_load_package(str(tmp_path / "graph.pt2"))
+    bounds = module.estimator.bounds
+    assert isinstance(bounds, Tensor)
+    for edges in (10, 300):
+        arguments = example(SIZE, edges)
+        with torch.no_grad():
+            found, wanted = compiled(*arguments), graph(*arguments)
+        for one, other in zip(found, wanted, strict=True):
+            assert ((one - other).abs() / bounds).max() < 1e-3
 
 
 def test_a_calibrator_by_drive_is_exported(module: CalibrationModule) -> None:

@@ -17,6 +17,7 @@ from uncal.weights.digest import (
     digest_of_files,
     digest_of_network,
     meaning,
+    own_code,
 )
 
 SOURCE = '''"""What it is."""
@@ -107,7 +108,7 @@ def test_code_counts_by_the_folder_it_lives_in(
         (tmp_path / name).write_text("x = 1\n")
 
     def digested() -> str:
-        digest_of_code.cache_clear()
+        own_code.cache_clear()
         return digest_of_code(("data",))
 
     before = digested()
@@ -115,7 +116,7 @@ def test_code_counts_by_the_folder_it_lives_in(
     assert digested() == before
     (tmp_path / "data" / "dataset.py").write_text("x = 2\n")
     assert digested() != before
-    digest_of_code.cache_clear()
+    own_code.cache_clear()
 
 
 def test_choosing_frames_looking_on_and_fitting_intervals_are_not_training() -> None:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import importlib.util
 import logging
+import os
+import shutil
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
 import torch
+import torch._inductor
 from hydra.utils import instantiate
 from torch import Tensor, nn
 
@@ -25,7 +28,7 @@ from uncal.uncertainty.dropout.masks import FixedMasks
 
 log = logging.getLogger(__name__)
 
-FORMATS: tuple[str, ...] = ("onnx", "torch_export")
+FORMATS: tuple[str, ...] = ("onnx", "torch_export", "aot_inductor")
 
 OPSET = 18
 """Of the ONNX operators; grid_sample needs 16."""
@@ -57,7 +60,7 @@ def write_graph(
             exported.
     """
     if format not in FORMATS:
-        raise ConfigurationError(f"format={format}: expected {' or '.join(FORMATS)}")
+        raise ConfigurationError(f"format={format}: expected {', '.join(FORMATS)}")
     if len(size) != 2 or any(side < 32 or side % 8 for side in size):
         raise ConfigurationError(
             f"image_size={list(size)}: expected [H, W], multiples of 8 and at least 32 pixels"
@@ -67,10 +70,14 @@ def write_graph(
         raise ConfigurationError(
             f"format=onnx needs {' and '.join(missing)}: pip install 'uncal[export]'"
         )
+    if format == "aot_inductor":
+        _refuse_inductor(out)
     check_writable(out)
     graph, inputs = make_graph(weights, format, levels, mask_seed)
     arguments = example(size)
-    (to_onnx if format == "onnx" else to_torch)(graph, arguments, out)
+    {"onnx": to_onnx, "torch_export": to_torch, "aot_inductor": to_inductor}[format](
+        graph, arguments, out
+    )
     finder = out.with_name(f"{out.stem}_edges.py")
     bounds = graph.estimator.bounds
     source = edges_source(inputs.edges, float(bounds[3]), float(bounds[0]))
@@ -127,19 +134,45 @@ def to_torch(graph: AlignmentGraph, arguments: tuple[Tensor, ...], out: Path) ->
         arguments: of its forward, of the size that it is for.
         out: the file.
     """
-    shapes = {
-        "image": None,
-        "edges": {0: torch.export.Dim("edges", min=5)},
-        "K": None,
-        "T_init": None,
-    }
-    with torch.no_grad(), warnings.catch_warnings():
+    with warnings.catch_warnings():
         # Of weights that share memory, which they do not once they are saved.
         warnings.simplefilter("ignore")
-        program = torch.export.export(
+        torch.export.save(_program(graph, arguments), out)
+
+
+def to_inductor(graph: AlignmentGraph, arguments: tuple[Tensor, ...], out: Path) -> None:
+    """Compile a graph with AOTInductor, for this machine's kind of processor; takes minutes.
+
+    Args:
+        graph: in evaluation mode.
+        arguments: of its forward, of the size that it is for.
+        out: the file, ``.pt2``, for ``torch._inductor.aoti_load_package`` or C++.
+    """
+    log.info("compiling %s, which takes some minutes", out)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        torch._inductor.aoti_compile_and_package(_program(graph, arguments), package_path=str(out))
+
+
+def _program(graph: AlignmentGraph, arguments: tuple[Tensor, ...]) -> torch.export.ExportedProgram:
+    """A graph as a program; the number of edges may differ from call to call."""
+    edges = torch.export.Dim("edges", min=5)
+    shapes = {"image": None, "edges": {0: edges}, "K": None, "T_init": None}
+    with torch.no_grad():
+        return torch.export.export(
             _Plain(graph).eval(), arguments, dynamic_shapes=shapes, strict=False
         )
-        torch.export.save(program, out)
+
+
+def _refuse_inductor(out: Path) -> None:
+    compilers = [os.environ["CXX"]] if "CXX" in os.environ else ["g++", "clang++"]
+    if not any(map(shutil.which, compilers)):
+        raise ConfigurationError(
+            f"format=aot_inductor needs a C++ compiler, and {' or '.join(compilers)} is not there: "
+            "install one, or set CXX to it"
+        )
+    if out.suffix != ".pt2":
+        raise ConfigurationError(f"out={out}: format=aot_inductor writes a file that ends in .pt2")
 
 
 def make_graph(

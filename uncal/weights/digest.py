@@ -58,13 +58,19 @@ def digest_of_file(path: Path) -> str:
 
 
 @cache
-def digest_of_code(parts: tuple[str, ...]) -> str:
-    """Digest of folders of this package; comments, docstrings and layout do not count.
+def own_code() -> Mapping[Path, str]:
+    """:func:`meaning` of every file of this package.
 
-    Of the files as they are when a process first asks, since it goes on with the code it has.
+    As they are when a process first asks, since it goes on with the code it has.
     """
-    files = {path for part in parts for path in (PACKAGE / part).rglob("*.py")}
-    return digest_of({path.relative_to(PACKAGE).as_posix(): meaning(path) for path in files})
+    return {path: meaning(path) for path in PACKAGE.rglob("*.py")}
+
+
+def digest_of_code(parts: tuple[str, ...]) -> str:
+    """Digest of folders of this package; comments, docstrings and layout do not count."""
+    code = own_code()
+    files = {path for part in parts for path in code if path.is_relative_to(PACKAGE / part)}
+    return digest_of({path.relative_to(PACKAGE).as_posix(): code[path] for path in files})
 
 
 def digest_of_network(network: nn.Module) -> Mapping[str, str]:
