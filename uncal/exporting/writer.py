@@ -148,10 +148,25 @@ def to_inductor(graph: AlignmentGraph, arguments: tuple[Tensor, ...], out: Path)
         arguments: of its forward, of the size that it is for.
         out: the file, ``.pt2``, for ``torch._inductor.aoti_load_package`` or C++.
     """
+    from torch._inductor.decomposition import decompositions
+
     log.info("compiling %s, which takes some minutes", out)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        torch._inductor.aoti_compile_and_package(_program(graph, arguments), package_path=str(out))
+    # Written out in elementary operations, all of the search's samplings become expressions of one
+    # another, and lowering them does not end.
+    whole = {op: way for op, way in decompositions.items() if "grid_sampler" in str(op)}
+    for op in whole:
+        del decompositions[op]
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            torch._inductor.aoti_compile_and_package(
+                _program(graph, arguments),
+                package_path=str(out),
+                # So that the table is read as it is now. Nothing in the graph is random.
+                inductor_configs={"fallback_random": True},
+            )
+    finally:
+        decompositions.update(whole)
 
 
 def _program(graph: AlignmentGraph, arguments: tuple[Tensor, ...]) -> torch.export.ExportedProgram:
