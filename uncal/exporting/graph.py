@@ -22,7 +22,7 @@ from uncal.models.pose_search import standard_normals
 from uncal.uncertainty.dropout.layers import dropout_layers, rate_of
 from uncal.uncertainty.dropout.masks import FixedMasks
 
-LONGEST_FOCAL = 0.9
+LONGEST_FOCAL = 1.5
 """Focal length, in widths of the image, up to which the start's blur is exact."""
 
 INPUTS: tuple[str, ...] = ("image", "edges", "K", "T_init")
