@@ -24,6 +24,7 @@ def kitti_faults() -> Faults:
             "mirrored",
             lambda root: _images(root, lambda image, _: image[:, ::-1]),
         ),
+        "reflectances 0 to 255": ("reflectance", _in_bytes),
         "images resized, K kept": ("resolution", lambda root: _images(root, _smaller)),
         "distortion k1 = -0.3": ("distortion", lambda root: _images(root, _distorted)),
         "images (events) one frame late": (
@@ -67,6 +68,13 @@ def _points(root: Path, matrix: Matrix, shift: Matrix | None = None) -> None:
     for path in root.rglob("velodyne_points/data/*.bin"):
         points = np.fromfile(path, np.float32).reshape(-1, 4)
         points[:, :3] = points[:, :3] @ matrix.T + (0.0 if shift is None else shift)
+        points.tofile(path)
+
+
+def _in_bytes(root: Path) -> None:
+    for path in root.rglob("velodyne_points/data/*.bin"):
+        points = np.fromfile(path, np.float32).reshape(-1, 4)
+        points[:, 3] *= 255.0
         points.tofile(path)
 
 

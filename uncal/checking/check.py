@@ -84,6 +84,8 @@ def _check(drive: Drive, n_frames: int, overlays: Path | None) -> DriveReport:
     if units is not None:
         found.append(units)
         frames = [[_in_metres(frame) for frame in run] for run in frames]
+    if (brightness := geometry.of_reflectance(drive.name, frames[0][0].points)) is not None:
+        found.append(brightness)
     link = None if drive.link is None else drive.link()
     views = [[view_of(frame, link) for frame in run] for run in frames]
     judgement = geometry.judge([view for run in views for view in run])

@@ -11,6 +11,7 @@ KINDS: dict[str, str] = {
     "mirrored": "image mirrored",
     "millimetres": "millimetres (or centimetres) for metres",
     "degrees": "degrees for radians",
+    "reflectance": "reflectances beyond 0 to 1",
     "resolution": "camera matrix of another resolution",
     "distortion": "lens distortion left in the image",
     "clock": "clock: images and scans not of the same moment, or reordered",

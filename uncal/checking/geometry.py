@@ -35,6 +35,9 @@ _EQUAL = 0.9
 _FAR_M = 500.0
 """No LiDAR of a vehicle has half of its returns from beyond."""
 
+_BRIGHTEST = 1.5
+"""Reflectances are 0 to 1; a driver may calibrate a little beyond."""
+
 _USUAL = (
     *("inverted", "camera frame", "mirrored", "millimetres"),
     *("degrees", "resolution", "axes", "distortion"),
@@ -100,6 +103,20 @@ def of_units(drive: str, points: NDArray[np.float32]) -> Finding | None:
         f"half of the points are further than {usual:.0f} from the LiDAR",
         "metres: half of the points of a street are nearer than about 15",
         "divide x, y, z by 1000",
+    )
+
+
+def of_reflectance(drive: str, points: NDArray[np.float32]) -> Finding | None:
+    """Reflectances in another unit, bytes or 16 bits for instance."""
+    largest = float(points[:, 3].max())
+    if largest <= _BRIGHTEST:
+        return None
+    return Finding(
+        "reflectance",
+        drive,
+        f"reflectances up to {largest:.0f}",
+        "0 to 1",
+        "divide them by what stands for full reflectance (lidars.NAME.brightest in rig.yaml)",
     )
 
 
