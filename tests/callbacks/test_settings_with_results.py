@@ -19,12 +19,12 @@ from tensorboard.plugins.hparams.plugin_data_pb2 import (  # type: ignore[import
 
 from uncal.callbacks.settings_with_results import SettingsWithResults
 from uncal.models.module import CalibrationModule
-from uncal.run_state import RunState
+from uncal.models.run_state import RunState
 
 
 def test_settings_and_result_are_in_the_events(tmp_path: Path) -> None:
     module = create_autospec(CalibrationModule, instance=True)
-    module.run = SimpleNamespace(results=SimpleNamespace(summary=SimpleNamespace(mean_ratio=0.5)))
+    module.run = RunState(mean_ratio=0.5)
     module.recipe = {"seed": 0, "mcd": {"passes": 25, "layers": None}}
     logger = TensorBoardLogger(str(tmp_path), name="", version="")
     trainer = SimpleNamespace(

@@ -48,21 +48,22 @@ class Report(lightning.Callback):
         frames = data.named("test")
         groups = tested.groups(frames, pl_module.groups)
         predicted = (tested.mean, tested.std, tested.target)
-        run.results = measure(
+        results = measure(
             Evaluation(*predicted, pl_module.calibrator, groups, tested.bounds),
             self.levels,
             control=None if run.control is None else run.control.among(tested.index),
             frames=[str(frames[i]) for i in tested.index.tolist()],
             ellipsoid=(pl_module.ellipsoid, tested.covariance),
         )
+        run.mean_ratio = float(results.summary.mean_ratio)
         data.share_skipped()
         if not trainer.is_global_zero:
             return
         notes = [*run_notes(pl_module, data), *skip_notes(data.skipped)]
-        paths = write_report(self.folder, run.results, label=self.label, notes=notes)
+        paths = write_report(self.folder, results, label=self.label, notes=notes)
         if data.skipped:
             write_skipped(self.folder / "skipped.csv", data.skipped)
-        table = format_report(run.results, label=self.label, notes=notes)
+        table = format_report(results, label=self.label, notes=notes)
         files = "\n".join(str(path) for path in paths)
         sys.stdout.write(f"\n{table}\n\n{files}\n")
         sys.stdout.flush()

@@ -17,11 +17,11 @@ class SettingsWithResults(lightning.Callback):
         """Log them once, after the report."""
         if stage != "test" or not trainer.is_global_zero:
             return
-        if not isinstance(pl_module, CalibrationModule) or pl_module.run.results is None:
+        if not isinstance(pl_module, CalibrationModule) or pl_module.run.mean_ratio is None:
             return
         recipe = pd.json_normalize([pl_module.recipe]).iloc[0]  # by dotted key
         settings = {str(key): value for key, value in recipe.items()}
-        result = {"result/mean ratio": float(pl_module.run.results.summary.mean_ratio)}
+        result = {"result/mean ratio": pl_module.run.mean_ratio}
         for logger in trainer.loggers:
             if isinstance(logger, TensorBoardLogger):
                 logger.log_hyperparams(settings, result)

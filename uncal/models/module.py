@@ -19,9 +19,9 @@ from uncal.errors import UncertaintyError
 from uncal.geometry import DOF_NAMES
 from uncal.models.answer import Estimator
 from uncal.models.losses import relative_error
+from uncal.models.run_state import RunState
 from uncal.models.split_prediction import SplitPrediction, frame_seed, join_predictions, pass_names
 from uncal.recordings.frame import FrameId
-from uncal.run_state import RunState
 from uncal.uncertainty.conformal.calibrator import IntervalCalibrator
 from uncal.uncertainty.conformal.ellipsoid import EllipsoidCalibrator
 from uncal.uncertainty.conformal.intervals import Intervals

@@ -86,9 +86,9 @@ def weights_to_report(
     module.run.notes.append(weights.sentence())
     _remember_passes(config, module, trainer, data, shared)
     trainer.test(module, datamodule=data, verbose=False)
-    if module.run.results is None:
+    mean_ratio = module.run.mean_ratio
+    if mean_ratio is None:
         raise ConfigurationError("callbacks.report is missing: the run has no result without it")
-    mean_ratio = module.run.results.summary.mean_ratio
     if trainer.is_global_zero:
         own = job_folder() / "checkpoints" / checkpoint
         fresh = weights.learnt and not weights.reused

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from uncal.models.split_prediction import ControlPrediction, SplitPrediction
-    from uncal.reporting.measure import Results
+from uncal.models.split_prediction import ControlPrediction, SplitPrediction
 
 
 @dataclass
@@ -18,10 +15,10 @@ class RunState:
         notes: sentences for the report on where weights and intervals come from.
         tested: predictions of the test split.
         control: the image-blind control; None where it is off or found fewer than two frames.
-        results: the measured tables.
+        mean_ratio: mean over the DoF of MAE after / before; None until it has been measured.
     """
 
     notes: list[str] = field(default_factory=list)
     tested: SplitPrediction | None = None
     control: ControlPrediction | None = None
-    results: Results | None = None
+    mean_ratio: float | None = None
