@@ -156,6 +156,9 @@ def to_inductor(graph: AlignmentGraph, arguments: tuple[Tensor, ...], out: Path)
     whole = {op: way for op, way in decompositions.items() if "grid_sampler" in str(op)}
     for op in whole:
         del decompositions[op]
+    lowering = logging.getLogger("torch._inductor.ir")  # a line for every operation kept whole
+    level = lowering.level
+    lowering.setLevel(logging.ERROR)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -167,6 +170,7 @@ def to_inductor(graph: AlignmentGraph, arguments: tuple[Tensor, ...], out: Path)
             )
     finally:
         decompositions.update(whole)
+        lowering.setLevel(level)
 
 
 def _program(graph: AlignmentGraph, arguments: tuple[Tensor, ...]) -> torch.export.ExportedProgram:
