@@ -18,7 +18,7 @@ log = logging.getLogger(__name__)
 @hydra.main(version_base="1.3", config_path=CONFIG_DIR, config_name="export")
 @exits_on_error
 def main(config: DictConfig) -> None:
-    """Write the graph, and for ONNX the file that finds the edges of a sweep.
+    """Write the graph, and the file that finds the edges of a sweep.
 
     Args:
         config: conf/export.yaml with the command line's overrides.

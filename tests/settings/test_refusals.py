@@ -51,6 +51,9 @@ Run = Callable[..., "subprocess.CompletedProcess[str]"]
         ("monitor", ["levl=0.9"], "levl: nothing reads this key; did you mean level?"),
         ("convert", ["topics.imag=/x"], "did you mean topics.image?"),
         ("export", ["fromat=onnx"], "fromat: nothing reads this key; did you mean format?"),
+        ("export", ["weights=unical"], "out: must be given, as out=…"),
+        ("convert", ["root=rig"], "source: must be given, as source=…"),
+        ("calibrate", ["weights=unical"], "recordings: must be given, as recordings=…"),
         ("calibrate", ["interval=gausian"], "interval=gausian: no such option; did you mean gaus"),
     ],
 )

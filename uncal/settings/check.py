@@ -96,10 +96,10 @@ def _faults(
         return  # as shipped: what it refers to is checked where it stands
     if isinstance(raw, Mapping) and isinstance(default, dict | None):
         return  # a group: its keys are checked one by one
-    if default is not None and type(raw) is type(default) and raw == default:
-        return
     if raw == "???":
         yield f"{key}: must be given, as {key}=…"
+        return
+    if default is not None and type(raw) is type(default) and raw == default:
         return
     value = _resolved(config, key)
     if value is None and (default is None or _may_be_null(config, key, default, defaults)):
