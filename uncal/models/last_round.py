@@ -85,14 +85,7 @@ class LastRound(nn.Module):
         covariance: Tensor,
         level: int,
     ) -> tuple[Tensor, Tensor]:
-        """Gaussian contribution of each edge.
-
-        Args:
-            curves: (B, M, R) log-likelihoods.
-            weights: (B, M) how much each edge counts.
-            projected: the edges.
-            covariance: (B, 6, 6) of the pose, in units of the range.
-            level: which of :data:`~uncal.models.evidence.STRIDES`.
+        """Gaussian contribution of each edge; arguments as of :meth:`equations`.
 
         Returns:
             (B, M) offsets in pixels, and (B, M) precisions in 1/pixels².
@@ -108,12 +101,7 @@ class LastRound(nn.Module):
     ) -> Tensor:
         """How far from their places in the image the solved pose leaves the edges.
 
-        Args:
-            x: (B, C, H, W) network input.
-            edges: (B, M, columns).
-            K: (B, 3, 3) camera matrices.
-            T: (B, 4, 4) extrinsics as they are assumed now.
-            covariance: (B, 6, 6) of the pose, in units of the range.
+        Arguments as of :meth:`forward`.
 
         Returns:
             (B,) root of the weighted mean of squared offsets, pixels.
