@@ -158,7 +158,7 @@ def to_inductor(graph: AlignmentGraph, arguments: tuple[Tensor, ...], out: Path)
     for op in whole:
         del decompositions[op]
         # Said here, since Inductor, where it falls back by itself, refuses to under CI=true.
-        make_fallback(op, warn=False)
+        make_fallback(op, warn=False)  # type: ignore[no-untyped-call]
     lowering = logging.getLogger("torch._inductor.ir")  # a line for every operation kept whole
     level = lowering.level
     lowering.setLevel(logging.ERROR)

@@ -13,21 +13,20 @@ from numpy.typing import NDArray
 from uncal.errors import ConfigurationError, FrameError
 from uncal.geometry.transforms import matrix_to_pose
 from uncal.monitor.adaptive import Quantiles, make_quantiles, scores_of
+from uncal.monitor.alarm import Alarm
 from uncal.monitor.decision import Interval, decide
 from uncal.monitor.evidence import Estimate, Evidence, EvidenceReader
 from uncal.monitor.extrinsic import Change, ExtrinsicInUse, after_step
-from uncal.monitor.martingale import ExchangeabilityMartingale
-from uncal.monitor.pairing import PairingCheck
-from uncal.monitor.references import (
-    FLOOR,
-    SIMULATED,
-    References,
-    find_references,
-    fingerprint,
-    references_beside,
+from uncal.monitor.known_good import (
+    level_of_drifts,
+    own_calibrator,
+    references_of,
+    without_references,
 )
+from uncal.monitor.pairing import PairingCheck
+from uncal.monitor.references import FLOOR, SIMULATED, References
 from uncal.monitor.settings import MonitorSettings
-from uncal.monitor.statistics import WINDOWED, SensorCheck
+from uncal.monitor.statistics import SensorCheck
 from uncal.monitor.verdict import OK, UNTRUSTED, Verdict
 from uncal.monitor.window import RECENT, Window
 from uncal.recordings.frame import Frame, FrameId
@@ -72,15 +71,18 @@ class Monitor:
             path, torch.device("cpu" if where == "auto" else where), settings.seed
         )
         self.notes: list[str] = []
-        self.references = self._find(references, path, settings)
+        self.references = references_of(references, path, self.reader, settings)
         self.reader.counts_start = self.references is not None
         if self.references is None:
+            self.notes.append(without_references(path))
             settings = replace(settings, window=1)
-            calibrators: list[IntervalCalibrator] = [self._own_calibrator(path)]
+            calibrators: list[IntervalCalibrator] = [own_calibrator(self.reader, path)]
         else:
             self.references.check_level(settings.level, settings.exchangeable)
             calibrators = list(self.references.calibrators(settings.exchangeable))
-            settings = self._within_reach(settings, self.references)
+            level, note = level_of_drifts(settings, self.references)
+            settings = replace(settings, drift=replace(settings.drift, level=level))
+            self.notes += [] if note is None else [note]
         simulated = self.references is None or self.references.label.startswith(SIMULATED)
         if settings.update.apply is None:
             settings = replace(settings, update=replace(settings.update, apply=not simulated))
@@ -97,16 +99,11 @@ class Monitor:
         self.window = Window(settings.window, settings.forgetting)
         self.check = SensorCheck(settings.sensors)
         self.pairing = PairingCheck(settings.sensors.pairing)
-        self.martingale = (
+        self.alarm = (
             None
             if self.references is None
-            else ExchangeabilityMartingale(
-                self.references.windows, settings.alarm.period, settings.seed
-            )
+            else Alarm(self.references.windows, settings.alarm, settings.seed)
         )
-        self.alarm: str | None = None
-        self.calm = 0
-        self.fed = 0
         self.rig: str | None = None
         self.drive: str | None = None
         self.in_use: ExtrinsicInUse | None = None
@@ -243,50 +240,6 @@ class Monitor:
         if usual > 0 and self.window.jump() > self.settings.drift.jump * usual:
             self.window.keep_last(RECENT)
 
-    def _within_reach(self, settings: MonitorSettings, references: References) -> MonitorSettings:
-        """With a level of drifts that the references can tell."""
-        highest = references.highest_level(settings.exchangeable)
-        if settings.drift.level <= highest:
-            return settings
-        self.notes.append(
-            f"drift.level={settings.drift.level:g} needs more references than there are "
-            f"({references.count(settings.exchangeable)} {settings.exchangeable}s): "
-            f"{highest:g} is used"
-        )
-        level = max(highest, settings.level)
-        return replace(settings, drift=replace(settings.drift, level=level))
-
-    def _find(
-        self, given: str | Path | References | None, weights: Path, settings: MonitorSettings
-    ) -> References | None:
-        if isinstance(given, References):
-            return given
-        made_with = fingerprint(self.reader, settings)
-        if given is not None:
-            return References.load(Path(given), made_with)
-        found = find_references(weights, made_with)
-        if found is not None:
-            return found
-        beside = references_beside(weights)
-        self.notes.append(
-            f"No references ({beside} is not there): window=1, intervals of single frames as the "
-            "weights were calibrated, and nothing says when inputs are unlike those. "
-            "python -m uncal.monitor calibrate=FOLDER makes references from recordings with "
-            "trusted extrinsics."
-        )
-        return None
-
-    def _own_calibrator(self, weights: Path) -> IntervalCalibrator:
-        """Of single frames, as it comes with the weights."""
-        calibrator = self.reader.module.calibrator
-        if not calibrator.is_fitted or not calibrator.needs_std or calibrator.needs_bounds:
-            raise ConfigurationError(
-                f"{weights}: has no calibration of σ that the monitor could use; make references: "
-                "python -m uncal.monitor calibrate=FOLDER"
-            )
-        calibrator.check_matches(self.reader.module.engine.identity())
-        return calibrator
-
     def _say(self, name: str, time: float, doubts: list[str], reference: Vector | None) -> Verdict:
         interval = drift = Interval.unknown()
         sigma = np.full(6, np.inf)
@@ -298,11 +251,12 @@ class Monitor:
             sigma = estimate.std
             interval = Interval.around(estimate.mean, sigma, self.quantiles.of(n))
             drift = Interval.around(estimate.mean, sigma, self.drift.of(n))
-            self._watch(estimate)
+            if self.alarm is not None:
+                self.alarm.watch(self.window, estimate, self.reader)
             if reference is not None:
                 self._learn(estimate, n, reference)
-        if self.alarm is not None:
-            doubts = [*doubts, self.alarm]
+        if self.alarm is not None and self.alarm.reason is not None:
+            doubts = [*doubts, self.alarm.reason]
         verdict, reason = decide(
             interval,
             self.settings.limits,
@@ -334,33 +288,8 @@ class Monitor:
             extrinsic=np.full((4, 4), np.nan) if self.in_use is None else self.extrinsic,
             updated=step is not None,
             frames=n,
-            wealth=1.0 if self.martingale is None else self.martingale.wealth,
+            wealth=1.0 if self.alarm is None else self.alarm.martingale.wealth,
         )
-
-    def _watch(self, estimate: Estimate) -> None:
-        """Feed the martingale with one value per full window, none of whose frames it knows."""
-        if self.martingale is None or len(self.window) < self.settings.window:
-            return
-        if self.window.entries[0].number <= self.fed:
-            return
-        self.fed = self.window.number
-        values = self.window.statistics(estimate, self.reader)
-        wealth = self.martingale.feed(values)
-        alarm = self.settings.alarm
-        if self.alarm is None and wealth >= 1.0 / alarm.false_alarm_rate:
-            self.alarm = (
-                f"windows no longer look like the references, {WINDOWED[self.martingale.oddest]} "
-                f"above all (false alarms: {100 * alarm.false_alarm_rate:g} % in {alarm.period} "
-                "windows)"
-            )
-            self.calm = 0
-            self.martingale.restart()
-        elif self.alarm is not None:
-            # Ville's bound is for how an alarm begins; it ends by a plain rule.
-            self.calm = self.calm + 1 if self.martingale.within(values) else 0
-            if self.calm >= alarm.recovery:
-                self.alarm = None
-                self.martingale.restart()
 
     def _learn(self, estimate: Estimate, frames: int, reference: Vector) -> None:
         D = np.linalg.inv(reference) @ self._extrinsic.current

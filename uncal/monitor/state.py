@@ -22,7 +22,8 @@ def state_of(monitor: Monitor) -> State:
     Args:
         monitor: at any moment between two frames.
     """
-    in_use, martingale = monitor.in_use, monitor.martingale
+    in_use, alarm = monitor.in_use, monitor.alarm
+    martingale = None if alarm is None else alarm.martingale
     return {
         "rig": monitor.rig,
         "drive": monitor.drive,
@@ -37,9 +38,9 @@ def state_of(monitor: Monitor) -> State:
             for entry in monitor.window.entries
         ],
         "last": list(monitor.check.last),
-        "alarm": monitor.alarm,
-        "calm": monitor.calm,
-        "fed": monitor.fed,
+        "alarm": alarm and alarm.reason,
+        "calm": alarm.calm if alarm else 0,
+        "fed": alarm.fed if alarm else 0,
         "quantiles": [
             {name: torch.tensor(v) for name, v in quantiles.state().items()}
             for quantiles in (monitor.quantiles, monitor.drift)
@@ -83,7 +84,6 @@ def restore(monitor: Monitor, state: State) -> None:
     )
     camera, lidar = state["last"]
     monitor.check.last = (camera, lidar)
-    monitor.alarm, monitor.calm, monitor.fed = state["alarm"], state["calm"], state["fed"]
     for quantiles, known in zip(
         (monitor.quantiles, monitor.drift), state["quantiles"], strict=True
     ):
@@ -94,9 +94,11 @@ def restore(monitor: Monitor, state: State) -> None:
         Glimpse(*(part.to(device) for part in parts)) for parts in state["past"]
     )
     monitor.pairing.better.extend(state["better"])
-    if monitor.martingale is not None and state["martingale"] is not None:
+    alarm = monitor.alarm
+    if alarm is not None and state["martingale"] is not None:
+        alarm.reason, alarm.calm, alarm.fed = state["alarm"], state["calm"], state["fed"]
         known = state["martingale"]
-        monitor.martingale.go_on(known["tests"], known["fed"].numpy(), known["shares"].numpy())
+        alarm.martingale.go_on(known["tests"], known["fed"].numpy(), known["shares"].numpy())
     if state["in_use"] is not None:
         known = state["in_use"]
         in_use = ExtrinsicInUse(known["nominal"].numpy(), monitor.settings.update)
