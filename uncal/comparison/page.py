@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING
 from PIL import Image, UnidentifiedImageError
 
 from uncal import __version__
+from uncal.comparison.compared import compared_table
 from uncal.comparison.gathering import Gathered, shown
 from uncal.comparison.tables import (
-    compared_table,
     multirun_tables,
     point_errors,
     table_1,

@@ -8,7 +8,6 @@ from dataclasses import replace
 
 import pandas as pd
 
-from uncal.comparison.gathering import Gathered, shown
 from uncal.geometry import DOF_NAMES, DOF_UNITS
 from uncal.multirun.folder import Multirun
 from uncal.multirun.summary import summary_sections
@@ -17,46 +16,12 @@ from uncal.reporting.evaluation import BAND_CONFIDENCE
 from uncal.reporting.frames import CONDITIONAL, CONTROL, CURVE, JOINT, Schema
 from uncal.reporting.layout import length
 from uncal.reporting.published.paper import MCD_ALONE, MCD_CP, PublishedPaper
-from uncal.reporting.run import UNKNOWN, Run
+from uncal.reporting.run import Run
 from uncal.reporting.sections import DOF_HEADINGS, Section
 
 METRICS = {"picp": "PICP (%)", "mpiw": "MPIW", "is": "IS"}
 
 _TOO_SMALL = "∞: the uncertainty calibration set is too small for that level."
-
-
-def compared_table(paper: PublishedPaper, gathered: Gathered) -> Section:
-    """Data, network, method, split, sizes and weights of everything shown."""
-    rows = [
-        [
-            *(f"Paper, {data}", data, f"{about['network']}; dropout {about['dropout']}"),
-            f"MC dropout + conformal, {paper.passes} passes; Table 2 (KITTI): MC dropout alone",
-            *(about["split"], UNKNOWN, UNKNOWN, "trained by its authors"),
-        ]
-        for data, about in paper.settings.items()
-    ]
-    left_out = [
-        f"{multirun.name} has {len(multirun.runs)} finished jobs: shown by its summary below, not "
-        "one by one; report.csv has all. Give a job's own folder to see it in the tables."
-        for multirun in gathered.multiruns
-        if not shown(multirun)
-    ]
-    header = ["", "data", "network", "intervals", "split", "test / ucal frames", "seed", "weights"]
-    return Section(
-        "Data, networks, intervals, splits and weights",
-        [header, *rows, *map(_compared_row, gathered.runs)],
-        published=len(rows),
-        texts=8,
-        notes=[
-            f"Paper: {paper.source('Tables 1 and 2, sections 3.3, 4.1, 4.4')} ({paper.address}); "
-            f"decalibration {paper.decalibration}.",
-            "ucal: uncertainty calibration set. not recorded: the paper, or the run's folder, "
-            "does not say.",
-            *(f"{run.name}: {'; '.join(run.missing)}." for run in gathered.runs if run.missing),
-            *left_out,
-        ],
-        origins=[run.origin for run in gathered.runs],
-    )
 
 
 def table_1(paper: PublishedPaper, runs: Sequence[Run]) -> Section:
@@ -242,34 +207,6 @@ def _lacking(runs: Sequence[Run], schema: Schema, what: str = "") -> list[str]:
     without = [run.name for run in runs if schema not in run.tables]
     names = ", ".join(without)
     return [f"Not shown, since without {schema.file}{what}: {names}."] if without else []
-
-
-def _compared_row(run: Run) -> list[str]:
-    passes, split, sizes = run.setting("mcd.passes"), run.setting("split.by"), run.per_dof.iloc[0]
-    return [
-        f"{run.name} ({run.distinction})" if run.distinction else run.name,
-        run.label,
-        run.setting("model.name") or UNKNOWN,
-        run.method + (f", {passes} passes" if passes else ""),
-        f"by {split}" if split else UNKNOWN,
-        f"{sizes['n_test']} / {sizes['n_calibration']}",
-        run.entry("seed") or UNKNOWN,
-        _weights_cell(run),
-    ]
-
-
-def _weights_cell(run: Run) -> str:
-    """What was reused and what was computed."""
-    weights = run.weights
-    if not isinstance(weights.get("reused"), bool):
-        return UNKNOWN
-    name = weights.get("fingerprint") or weights.get("path") or "of a checkpoint"
-    seconds = weights.get("training_seconds")
-    took = f" ({seconds:.0f} s)" if isinstance(seconds, int | float) and seconds else ""
-    origin = "reused, trained earlier" if weights["reused"] else "trained in this run"
-    stored = run.mapping("passes").items()  # whether stochastic passes were computed or reused
-    passes = "".join(f"; {split.replace('_', ' ')} passes {source}" for split, source in stored)
-    return f"{name}: {origin}{took}{passes}"
 
 
 def _interval_cell(run: Run, row: pd.Series[float] | None, metric: str) -> str:
