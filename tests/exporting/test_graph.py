@@ -23,6 +23,7 @@ from uncal.exporting.edges_file import edges_source
 from uncal.exporting.graph import AlignmentGraph
 from uncal.exporting.operators import onnx_operators, torch_operators
 from uncal.exporting.writer import example, to_inductor, to_torch, write_graph
+from uncal.models.edge_alignment import EdgeAlignmentEstimator
 from uncal.models.module import CalibrationModule
 from uncal.models.operators import Operators
 from uncal.recordings.frame import FrameId
@@ -112,6 +113,20 @@ def test_looks_as_far_as_the_module_looks(
     wanted = module.stochastic(as_batch(*arguments), "test").mean[0]
     assert ((found - wanted).abs() / module.estimator.bounds).max() < 1e-4
     assert ((found - before).abs() / module.estimator.bounds).max() > 1e-3
+
+
+def test_the_start_looks_at_the_same_surroundings(
+    module: CalibrationModule, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    start = module.estimator.start
+    assert isinstance(start, EdgeAlignmentEstimator)
+    monkeypatch.setattr(start.network, "surround", (0.0, 0.0, 9.0))  # wider than the widest blur
+    arguments = example(SIZE, edges=200)
+    arguments[2][[0, 1], [0, 1]] *= 2.0
+    with torch.no_grad():
+        found = make(module)(*arguments).mean
+    wanted = module.stochastic(as_batch(*arguments), "test").mean[0]
+    assert ((found - wanted).abs() / module.estimator.bounds).max() < 1e-4
 
 
 def test_too_few_frames_for_a_level_are_named(module: CalibrationModule) -> None:

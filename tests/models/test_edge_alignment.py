@@ -12,6 +12,7 @@ from uncal.geometry import invert, transform_points
 from uncal.geometry.decalibration import DecalibrationRange, decalibrate
 from uncal.models.answer import Answer
 from uncal.models.edge_alignment import EdgeAlignment, EdgeAlignmentEstimator, score
+from uncal.models.operators import EAGER
 from uncal.models.pose_search import SearchSettings
 from uncal.recordings.frame import FrameId
 
@@ -178,6 +179,20 @@ def test_blur_of_an_image_does_not_depend_on_its_neighbours() -> None:
     torch.testing.assert_close(both[:1], blurred(maps[:1], torch.tensor([0.8])))
 
 
+@pytest.mark.parametrize(("surround", "rises"), [(0.0, True), (3.0, False)])
+def test_edges_are_not_drawn_to_where_the_image_has_many(surround: float, rises: bool) -> None:
+    network = EdgeAlignment(
+        3, 3, "mean", 15, [1.0] * 6, [0.2], [4], [0.3], [1], surround=[surround]
+    )
+    denser_to_the_right = torch.linspace(0.0, 1.0, 208).expand(1, 2, 80, 208)
+
+    strength = network.unusual(denser_to_the_right, K[:1, 0], 0, EAGER)[..., 10:-10]
+
+    rise = (strength[..., -1] - strength[..., 0]).mean().item()
+    assert (rise > 0.5) is rises
+    assert rises or abs(rise) < 1e-4
+
+
 def test_has_nothing_to_train() -> None:
     model = estimator()
 
@@ -191,3 +206,7 @@ def test_settings_are_checked() -> None:
         SearchSettings(samples=4, effective=8, widening=1.3)
     with pytest.raises(ConfigurationError, match="as many of each"):
         EdgeAlignment(3, 3, "mean", 15, [1.0] * 6, [0.7, 0.3], [4], [0.3], [1])
+    with pytest.raises(ConfigurationError, match="as many of each"):
+        EdgeAlignment(3, 3, "mean", 15, [1.0] * 6, [0.7], [4], [0.3], [1], [0, 2])
+    with pytest.raises(ConfigurationError, match="0 or more than 1"):
+        EdgeAlignment(3, 3, "mean", 15, [1.0] * 6, [0.7], [4], [0.3], [1], [0.5])

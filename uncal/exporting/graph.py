@@ -88,7 +88,7 @@ class AlignmentGraph(nn.Module):
         self.operators = operators
         self.widest_blur = 0.0
         if estimator.start is not None:
-            self.widest_blur = float(estimator.start.network.blur.max())
+            self.widest_blur = estimator.start.network.widest_blur
             # Drawn now and kept, so that the graph holds them as numbers.
             search = estimator.start.settings
             standard_normals(sum(estimator.start.network.rounds), search.samples, search.seed)

@@ -25,9 +25,12 @@ class EdgeAlignment(nn.Module):
     """How well the edges of a sweep lie on those of an image, as a log-likelihood of the pose.
 
     The score of a pose is the weighted sum, over the edges, of the blurred edge strength of the
-    image where the pose puts them, above the image's mean: an edge that leaves the image counts
-    neither for nor against. A constant turns the score into a log-likelihood; it stands for how
-    much edges that are near one another repeat one another.
+    image where the pose puts them, above what is usual: an edge that leaves the image counts
+    neither for nor against. What is usual is the image's mean, or better the mean nearby: else
+    edges without a partner favour poses that bring them to where the image has many edges, such as
+    towards the vanishing point, which is a bias common to the frames of a window. A constant turns
+    the score into a log-likelihood; it stands for how much edges that are near one another repeat
+    one another.
 
     Args:
         in_channels: C of the input; only the camera's channels are read.
@@ -40,6 +43,8 @@ class EdgeAlignment(nn.Module):
         sharpness: log-likelihood by score, of each scale.
         every: at each scale every so many-th edge is looked at, and counts as that many;
             None, as in the settings of older weights: all.
+        surround: at each scale, width of the Gaussian that what is usual is a mean over, in widths
+            of the blur; 0, and None, as in the settings of older weights: the whole image.
 
     Raises:
         ConfigurationError: a setting is out of its range.
@@ -61,9 +66,11 @@ class EdgeAlignment(nn.Module):
         rounds: Sequence[int],
         sharpness: Sequence[float],
         every: Sequence[int] | None = None,
+        surround: Sequence[float] | None = None,
     ) -> None:
         super().__init__()
         every = [1] * len(rounds) if every is None else every
+        surround = [0.0] * len(rounds) if surround is None else surround
         if image_edges not in IMAGE_EDGES:
             raise ConfigurationError(
                 f"model.image_edges={image_edges}: expected {' or '.join(IMAGE_EDGES)}"
@@ -75,21 +82,32 @@ class EdgeAlignment(nn.Module):
             )
         scales = (blur_deg, rounds, sharpness, every)
         least = min((value for scale in scales for value in scale), default=0)
-        if len(set(map(len, scales))) != 1 or least <= 0:
+        if len(set(map(len, (*scales, surround)))) != 1 or least <= 0:
             raise ConfigurationError(
                 f"model.network: blur_deg={list(blur_deg)}, rounds={list(rounds)}, "
-                f"sharpness={list(sharpness)}, every={list(every)}: expected positive numbers, as "
-                "many of each"
+                f"sharpness={list(sharpness)}, every={list(every)}, surround={list(surround)}: "
+                "expected positive numbers, as many of each"
+            )
+        if any(width != 0 and width <= 1 for width in surround):
+            raise ConfigurationError(
+                f"model.network.surround={list(surround)}: expected 0 or more than 1, a wider blur"
             )
         self.camera_channels = camera_channels
         self.image_edges = image_edges
         self.window = window
         self.rounds = tuple(rounds)
         self.every = tuple(every)
+        self.surround = tuple(surround)
         # Buffers, so that a calibrator fitted with other ones is not taken for this one's.
         self.register_buffer("weights", torch.tensor([float(weight) for weight in kinds]))
         self.register_buffer("blur", torch.deg2rad(torch.tensor(list(blur_deg))))
         self.register_buffer("sharpness", torch.tensor([float(value) for value in sharpness]))
+
+    @property
+    def widest_blur(self) -> float:
+        """Standard deviation of the widest Gaussian that maps are blurred with, radians."""
+        widths = self.blur.new_tensor(self.surround).clamp(min=1.0)
+        return float((self.blur * widths).max())
 
     def forward(self, pose: Tensor) -> Tensor:
         """The pose as it is: the search is over before passes begin, and nothing in it is random.
@@ -118,6 +136,25 @@ class EdgeAlignment(nn.Module):
     def maps(self, x: Tensor) -> Tensor:
         """(B, 2, H, W) edge strength across columns and across rows, of (B, C, H, W) input."""
         return edge_maps(x[:, : self.camera_channels], self.window, self.image_edges)
+
+    def unusual(self, maps: Tensor, focal: Tensor, level: int, operators: Operators) -> Tensor:
+        """Blurred edge strength above what is usual.
+
+        Args:
+            maps: (B, 2, H, W) of :meth:`maps`.
+            focal: (B,) pixels.
+            level: scale.
+            operators: as of :meth:`EdgeAlignmentEstimator.align`.
+
+        Returns:
+            (B, 2, H, W).
+        """
+        sigma = self.blur[level] * focal
+        strength = operators.blur(maps, sigma)
+        width = self.surround[level]
+        if width == 0:
+            return strength - strength.mean((2, 3), keepdim=True)
+        return strength - operators.blur(maps, width * sigma)
 
 
 def score(strength: Tensor, edges: Tensor, weights: Tensor, K: Tensor, T: Tensor) -> Tensor:
@@ -187,8 +224,7 @@ class EdgeAlignmentEstimator(nn.Module):
             edges = batch.edges.nan_to_num()
             rounds: list[LogLikelihood] = []
             for level, number in enumerate(self.network.rounds):
-                strength = operators.blur(maps, self.network.blur[level] * batch.K[:, 0, 0])
-                strength = strength - strength.mean((2, 3), keepdim=True)
+                strength = self.network.unusual(maps, batch.K[:, 0, 0], level, operators)
                 every = self.network.every[level]
                 strength = strength * (every * self.network.sharpness[level])
                 some = (edges[:, ::every], weights[:, ::every])
