@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-import cv2
 import lightning
 import numpy as np
 import torch
 from lightning import LightningModule, Trainer
 from lightning.pytorch.loggers import TensorBoardLogger
 from numpy.typing import NDArray
+from torch.utils.tensorboard import SummaryWriter
 
 from uncal.data.datamodule import CalibrationDataModule
 from uncal.data.dataset import Sample, collate
@@ -20,6 +20,7 @@ from uncal.metrics.pose_error import pose_errors
 from uncal.models.module import CalibrationModule
 from uncal.recordings.sensor_files import write_image
 from uncal.reporting.overlay import draw_events, overlay_panel
+from uncal.reporting.tensorboard import add_png
 
 WIDTH_PX = 1000
 """Least width of a picture; small images are enlarged to it."""
@@ -110,6 +111,5 @@ def background(data: CalibrationDataModule, sample: Sample) -> NDArray[np.uint8]
 def show_picture(trainer: Trainer, path: Path, tag: str) -> None:
     """Show a PNG in TensorBoard, if there is such a logger."""
     for logger in trainer.loggers:
-        if isinstance(logger, TensorBoardLogger) and (picture := cv2.imread(str(path))) is not None:
-            rgb, step = picture[:, :, ::-1], trainer.global_step
-            logger.experiment.add_image(tag, rgb, step, dataformats="HWC")
+        if isinstance(logger, TensorBoardLogger) and isinstance(logger.experiment, SummaryWriter):
+            add_png(logger.experiment, tag, path, trainer.global_step)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-import cv2
 import pandas as pd
 from torch.utils.tensorboard import SummaryWriter
 
@@ -16,6 +15,7 @@ from uncal.multirun.sweep import Quantity, Sweep, key_name
 from uncal.reporting.evaluation import BAND_CONFIDENCE
 from uncal.reporting.figures.style import NamedFigure, paper_style, save
 from uncal.reporting.frames import write_csv
+from uncal.reporting.tensorboard import add_png
 
 _KINDS = (("Translation", DOF_UNITS[0], DOF_NAMES[:3]), ("Rotation", DOF_UNITS[3], DOF_NAMES[3:]))
 _ERRORS = {"mae_after": "MC mean", "mae_single": "one pass without dropout"}
@@ -77,9 +77,7 @@ def show_in_tensorboard(pictures: Sequence[Path], folder: Path) -> None:
         earlier.unlink(missing_ok=True)
     with SummaryWriter(str(folder)) as writer:
         for path in pictures:
-            picture = cv2.imread(str(path))
-            if picture is not None:
-                writer.add_image(f"multirun/{path.stem}", picture[:, :, ::-1], dataformats="HWC")
+            add_png(writer, f"multirun/{path.stem}", path)
 
 
 def _figures(sweep: Sweep) -> Iterator[NamedFigure]:
