@@ -24,6 +24,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import cv2
 import numpy as np
 import pytest
+from forked import Forked
 from hydra.core.hydra_config import HydraConfig
 from numpy.typing import NDArray
 
@@ -233,35 +234,40 @@ def start_process() -> Run:
 
 
 @pytest.fixture(scope="session")
-def interrupt() -> Run:
-    """As :func:`start_process`, with Ctrl-C as soon as the file ``after`` is there."""
+def fork() -> Callable[..., Forked]:
+    """As :func:`start_process`, without the seconds of imports; returns before its end."""
 
-    def start(
-        module: str, *overrides: str, cwd: Path, after: Path
-    ) -> subprocess.CompletedProcess[str]:
-        command = [sys.executable, "-m", module, *overrides]
-        started = subprocess.Popen(
-            command,
-            cwd=cwd,
-            env=_environment(),
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.PIPE,
-            text=True,
-            preexec_fn=_heed_interrupts,
-        )
-        deadline = time.monotonic() + 900
-        while not after.exists() and started.poll() is None and time.monotonic() < deadline:
-            time.sleep(0.05)
-        started.send_signal(signal.SIGINT)
-        _, stderr = started.communicate(timeout=600)
-        return subprocess.CompletedProcess(command, started.returncode, "", stderr)
+    def fork(module: str, *overrides: str, cwd: Path) -> Forked:
+        return Forked(module, *overrides, cwd=cwd, environment=_environment())
+
+    return fork
+
+
+@pytest.fixture(scope="session")
+def start_forked(fork: Callable[..., Forked]) -> Run:
+    """As :func:`fork`, to its end."""
+
+    def start(module: str, *overrides: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+        return fork(module, *overrides, cwd=cwd).finished(timeout=1200)
 
     return start
 
 
-def _heed_interrupts() -> None:
-    """What a shell starts in the background ignores Ctrl-C, and so would what the tests start."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
+@pytest.fixture(scope="session")
+def interrupt(fork: Callable[..., Forked]) -> Run:
+    """As :func:`start_forked`, with Ctrl-C as soon as the file ``after`` is there."""
+
+    def start(
+        module: str, *overrides: str, cwd: Path, after: Path
+    ) -> subprocess.CompletedProcess[str]:
+        started = fork(module, *overrides, cwd=cwd)
+        deadline = time.monotonic() + 900
+        while not after.exists() and started.is_running() and time.monotonic() < deadline:
+            time.sleep(0.05)
+        started.send_signal(signal.SIGINT)
+        return started.finished(timeout=600)
+
+    return start
 
 
 def _environment(without: str = "") -> dict[str, str]:

@@ -19,7 +19,7 @@ from uncal.uncertainty.conformal.split_conformal import ConformalCalibrator
 Run = Callable[..., "subprocess.CompletedProcess[str]"]
 
 QUANTILE = ["model/backbone=mobilevit_xxs", "model/head=quantile"]
-TRAINED = ["trainer.max_epochs=2", "mcd.passes=4"]
+NO_PICTURES = ["callbacks.figures=null", "callbacks.interval_overlays=null"]
 
 
 def rows(path: Path) -> list[dict[str, str]]:
@@ -28,11 +28,12 @@ def rows(path: Path) -> list[dict[str, str]]:
 
 
 def test_a_model_without_parameters_is_not_trained(
-    start: Run, tiny: list[str], make_workplace: Callable[[str], Path]
+    start: Run, tiny: list[str], quick: list[str], make_workplace: Callable[[str], Path]
 ) -> None:
     place = make_workplace("edges")
     options = ["model=edges", "model.search.samples=64", "hydra.run.dir=run"]
-    trained = start("uncal.train", *tiny, *options, "trainer.max_epochs=2", cwd=place)
+    words = [*tiny, *quick, *options, "trainer.max_epochs=2"]
+    trained = start("uncal.train", *words, cwd=place)
 
     assert trained.returncode == 0, trained.stderr
     assert "No training: this model has no parameters." in trained.stdout
@@ -40,7 +41,8 @@ def test_a_model_without_parameters_is_not_trained(
     assert checkpoint.is_file()
     assert not (place / "outputs" / "trained").exists()
 
-    evaluated = start("uncal.evaluate", f"ckpt={checkpoint}", "hydra.run.dir=again", cwd=place)
+    words = [f"ckpt={checkpoint}", "hydra.run.dir=again", *NO_PICTURES]
+    evaluated = start("uncal.evaluate", *words, cwd=place)
 
     assert evaluated.returncode == 0, evaluated.stderr
 
@@ -96,9 +98,8 @@ def test_the_checkpoint_carries_the_calibrator(demo: object, workplace: Path) ->
 def test_evaluation_of_the_checkpoint_gives_the_same_bytes(
     demo: object, workplace: Path, start_process: Run
 ) -> None:
-    finished = start_process(
-        "uncal.evaluate", "ckpt=first/checkpoints/best.ckpt", "hydra.run.dir=again", cwd=workplace
-    )
+    words = ["ckpt=first/checkpoints/best.ckpt", "hydra.run.dir=again", *NO_PICTURES]
+    finished = start_process("uncal.evaluate", *words, cwd=workplace)
     assert finished.returncode == 0, finished.stderr[-4000:]
     first, again = (workplace / name / "results.csv" for name in ("first", "again"))
     assert first.read_bytes() == again.read_bytes()
@@ -109,7 +110,7 @@ def evaluate(start: Run, cwd: Path, folder: str, *overrides: str) -> list[dict[s
         "uncal.evaluate",
         "ckpt=first/checkpoints/best.ckpt",
         f"hydra.run.dir={folder}",
-        "callbacks.figures=null",
+        *NO_PICTURES,
         *overrides,
         cwd=cwd,
     )
@@ -173,8 +174,10 @@ def test_quantile_regression_needs_its_head(workplace: Path, start: Run, tiny: l
     assert "Traceback" not in finished.stderr
 
 
-def test_quantile_regression_runs_with_it(workplace: Path, start: Run, tiny: list[str]) -> None:
-    words = [*tiny, *TRAINED, "hydra.run.dir=cqr", "interval=cqr", *QUANTILE]
+def test_quantile_regression_runs_with_it(
+    workplace: Path, start: Run, tiny: list[str], quick: list[str]
+) -> None:
+    words = [*tiny, *quick, "mcd.passes=4", "hydra.run.dir=cqr", "interval=cqr", *QUANTILE]
     finished = start("uncal.train", *words, cwd=workplace)
     assert finished.returncode == 0, finished.stderr[-4000:]
     markdown = (workplace / "cqr" / "results.md").read_text(encoding="utf-8")
@@ -182,12 +185,13 @@ def test_quantile_regression_runs_with_it(workplace: Path, start: Run, tiny: lis
 
 
 def test_a_second_run_reuses_the_simulation_and_a_resumed_one_goes_on(
-    demo: object, workplace: Path, start: Run, tiny: list[str]
+    demo: object, workplace: Path, start: Run, tiny: list[str], quick: list[str]
 ) -> None:
     manifest = workplace / "data" / "demo" / "simulation.json"
     before = manifest.stat().st_mtime_ns
-    words = ["ckpt=first/checkpoints/last.ckpt", "trainer.max_epochs=3", "mcd.passes=4"]
-    finished = start("uncal.train", *tiny, *words, "hydra.run.dir=resumed", cwd=workplace)
+    words = [*tiny, *quick, "ckpt=first/checkpoints/last.ckpt", "trainer.max_epochs=3"]
+    words += ["mcd.passes=4", "hydra.run.dir=resumed"]
+    finished = start("uncal.train", *words, cwd=workplace)
     assert finished.returncode == 0, finished.stderr[-4000:]
     assert manifest.stat().st_mtime_ns == before
     state = torch.load(workplace / "resumed" / "checkpoints" / "last.ckpt", weights_only=True)
@@ -199,10 +203,10 @@ def test_a_second_run_reuses_the_simulation_and_a_resumed_one_goes_on(
 
 @pytest.mark.slow
 def test_an_interrupted_run_says_how_to_go_on_and_its_checkpoint_loads(
-    workplace: Path, interrupt: Run, tiny: list[str]
+    workplace: Path, interrupt: Run, tiny: list[str], quick: list[str]
 ) -> None:
     last = workplace / "stopped" / "checkpoints" / "last.ckpt"
-    words = [*tiny, "mcd.passes=4", "hydra.run.dir=stopped", "trainer.max_epochs=400"]
+    words = [*tiny, *quick, "mcd.passes=4", "hydra.run.dir=stopped", "trainer.max_epochs=400"]
     stopped = interrupt("uncal.train", *words, cwd=workplace, after=last)
     assert stopped.returncode != 0
     assert "interrupted" in stopped.stderr
@@ -241,9 +245,9 @@ def test_a_misspelt_key_is_named(tmp_path: Path, start: Run, key: str) -> None:
 
 @pytest.mark.slow
 def test_a_wrong_root_says_what_was_expected_and_where_to_get_it(
-    tmp_path: Path, start_process: Run
+    tmp_path: Path, start_forked: Run
 ) -> None:
-    finished = start_process("uncal.train", "dataset=kitti", "dataset.root=nowhere", cwd=tmp_path)
+    finished = start_forked("uncal.train", "dataset=kitti", "dataset.root=nowhere", cwd=tmp_path)
     assert finished.returncode == 1
     assert "nowhere" in finished.stderr
     assert "cvlibs.net" in finished.stderr
@@ -260,9 +264,9 @@ def test_a_missing_checkpoint_is_one_sentence(tmp_path: Path, start: Run) -> Non
 @pytest.mark.slow
 @pytest.mark.kitti
 def test_real_frames_run_to_their_table(
-    kitti_root: Path, workplace: Path, start_process: Run
+    kitti_root: Path, workplace: Path, start_forked: Run
 ) -> None:
-    finished = start_process(
+    finished = start_forked(
         "uncal.train",
         "dataset=kitti",
         f"dataset.root={kitti_root}",

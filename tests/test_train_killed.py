@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import os
 import random
 import signal
-import subprocess
-import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from forked import Forked
+
+Fork = Callable[..., Forked]
 
 pytestmark = [
     pytest.mark.slow,
@@ -31,56 +32,52 @@ TINY = [
     "mcd.passes=2",
     "model.edges=256",
     "model.train_edges=64",
+    "model.start.search.samples=32",
+    "callbacks.overlays.frames=1",
     "callbacks.figures=null",
     "callbacks.interval_overlays=null",
     "hydra.run.dir=run",
 ]
 
 
-def start(folder: Path) -> subprocess.Popen[str]:
-    folder.mkdir(exist_ok=True)
-    return subprocess.Popen(
-        [sys.executable, "-m", "uncal.train", *TINY],
-        cwd=folder,
-        env=os.environ | {"OMP_NUM_THREADS": "1"},
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+@pytest.fixture
+def start(fork: Fork) -> Callable[[Path], Forked]:
+    def start(folder: Path) -> Forked:
+        folder.mkdir(exist_ok=True)
+        return fork("uncal.train", *TINY, cwd=folder)
+
+    return start
 
 
-def kill_when(folder: Path, sign: str, delay: float) -> None:
-    """Start a run and kill it a moment after it has made a file."""
-    started = start(folder)
+def kill_when(started: Forked, folder: Path, sign: str, delay: float) -> None:
+    """Kill a run a moment after it has made a file."""
     deadline = time.monotonic() + 300
-    while not list(folder.glob(sign)) and started.poll() is None:
+    while not list(folder.glob(sign)) and started.is_running():
         assert time.monotonic() < deadline
         time.sleep(0.01)
     time.sleep(delay)
-    started.kill()
-    started.communicate(timeout=60)
+    started.send_signal(signal.SIGKILL)
+    started.finished(timeout=60)
 
 
-def finished(folder: Path) -> bytes:
-    ended = start(folder)
-    _, stderr = ended.communicate(timeout=300)
-    assert ended.returncode == 0, stderr[-4000:]
+def finished(started: Forked, folder: Path) -> bytes:
+    ended = started.finished(timeout=300)
+    assert ended.returncode == 0, ended.stderr[-4000:]
     return (folder / "run" / "results.csv").read_bytes()
 
 
-def test_a_run_killed_again_and_again_ends_with_the_same_bytes(tmp_path: Path) -> None:
+def test_a_run_killed_again_and_again_ends_with_the_same_bytes(
+    tmp_path: Path, start: Callable[[Path], Forked]
+) -> None:
     rng = random.Random(0)
-    killed = tmp_path / "killed"
+    killed, whole = tmp_path / "killed", tmp_path / "whole"
     signs = (
         "data/demo/.partial_*",  # simulating
         "run/checkpoints/last.ckpt",  # training
         "run/*.csv",  # writing
     )
     for sign in signs:
-        kill_when(killed, sign, rng.uniform(0, 0.5))
-    again = finished(killed)
-    assert again == finished(tmp_path / "whole")
-    left = {path.name for path in killed.rglob("*")} - {
-        path.name for path in (tmp_path / "whole").rglob("*")
-    }
+        kill_when(start(killed), killed, sign, rng.uniform(0, 0.5))
+    assert finished(start(killed), killed) == finished(start(whole), whole)
+    left = {path.name for path in killed.rglob("*")} - {path.name for path in whole.rglob("*")}
     assert not {name for name in left if name.startswith((".partial_", "best-", "last-"))}

@@ -11,6 +11,8 @@ import pytest
 Run = Callable[..., "subprocess.CompletedProcess[str]"]
 Train = Callable[..., str]
 
+NO_FIGURES = "hydra.callbacks.summary.figures=false"
+
 
 @pytest.fixture(scope="module")
 def words(tiny: list[str], quick: list[str]) -> list[str]:
@@ -42,7 +44,7 @@ def record(folder: Path) -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def swept(train: Train) -> str:
-    return train("-m", "mcd.passes=4,2", "hydra.sweep.dir=many")
+    return train("-m", "mcd.passes=4,2", "hydra.sweep.dir=many", NO_FIGURES)
 
 
 def test_other_passes_are_asked_of_the_same_weights(swept: str, workplace: Path) -> None:
@@ -58,9 +60,9 @@ def test_other_passes_are_asked_of_the_same_weights(swept: str, workplace: Path)
 
 @pytest.mark.slow
 def test_the_reused_weights_give_what_their_own_training_would_have(
-    swept: str, workplace: Path, train: Train, start_process: Run
+    swept: str, workplace: Path, train: Train, start_forked: Run
 ) -> None:
-    train("mcd.passes=2", "store=null", "hydra.run.dir=alone", start=start_process)
+    train("mcd.passes=2", "store=null", "hydra.run.dir=alone", start=start_forked)
     assert record(workplace / "alone")["weights"]["reused"] is False
     alone = (workplace / "alone" / "results.csv").read_bytes()
     assert (workplace / "many" / "1" / "results.csv").read_bytes() == alone
@@ -70,7 +72,8 @@ def test_the_checkpoint_of_a_run_that_reused_weights_is_its_own(
     swept: str, workplace: Path, start: Run
 ) -> None:
     evaluate = ["ckpt=many/1/checkpoints/best.ckpt", "hydra.run.dir=evaluated"]
-    done = start("uncal.evaluate", *evaluate, "callbacks.figures=null", cwd=workplace)
+    evaluate += ["callbacks.figures=null", "callbacks.interval_overlays=null"]
+    done = start("uncal.evaluate", *evaluate, cwd=workplace)
     assert done.returncode == 0, done.stderr[-4000:]
     assert "calibrating anew" not in done.stderr
     own = (workplace / "many" / "1" / "results.csv").read_bytes()
@@ -83,7 +86,7 @@ def test_a_multirun_started_again_keeps_what_is_finished(
     folder = workplace / "many"
     times = [(folder / job / "results.csv").stat().st_mtime_ns for job in "01"]
     (folder / "1" / "run.json").unlink()  # as if it had been interrupted before its end
-    said = train("-m", "mcd.passes=4,2", "hydra.sweep.dir=many")
+    said = train("-m", "mcd.passes=4,2", "hydra.sweep.dir=many", NO_FIGURES)
     assert said.count("kept as it is") == 1
     after = [(folder / job / "results.csv").stat().st_mtime_ns for job in "01"]
     assert after[0] == times[0]
