@@ -35,7 +35,7 @@ TINY = [
     "model.start.search.samples=32",
     "callbacks.overlays.frames=1",
     "callbacks.figures=null",
-    "callbacks.interval_overlays=null",
+    "callbacks.interval_overlays.frames=1",
     "hydra.run.dir=run",
 ]
 
@@ -57,7 +57,7 @@ def kill_when(started: Forked, folder: Path, sign: str, delay: float) -> None:
         time.sleep(0.01)
     time.sleep(delay)
     started.send_signal(signal.SIGKILL)
-    started.finished(timeout=60)
+    assert started.finished(timeout=60).returncode == -signal.SIGKILL
 
 
 def finished(started: Forked, folder: Path) -> bytes:
@@ -71,13 +71,13 @@ def test_a_run_killed_again_and_again_ends_with_the_same_bytes(
 ) -> None:
     rng = random.Random(0)
     killed, whole = tmp_path / "killed", tmp_path / "whole"
-    signs = (
-        "data/demo/.partial_*",  # simulating
-        "run/checkpoints/last.ckpt",  # training
-        "run/*.csv",  # writing
-    )
-    for sign in signs:
-        kill_when(start(killed), killed, sign, rng.uniform(0, 0.5))
+    moments = {  # sign → longest delay
+        "data/demo/.partial_*": 0.5,  # simulating
+        "run/checkpoints/last.ckpt": 0.5,  # training
+        "run/*.csv": 0.05,  # writing
+    }
+    for sign, longest in moments.items():
+        kill_when(start(killed), killed, sign, rng.uniform(0, longest))
     assert finished(start(killed), killed) == finished(start(whole), whole)
     left = {path.name for path in killed.rglob("*")} - {path.name for path in whole.rglob("*")}
     assert not {name for name in left if name.startswith((".partial_", "best-", "last-"))}
