@@ -32,14 +32,14 @@ def test_the_session_goes_all_the_way() -> None:
 
 
 @pytest.mark.slow
-def test_every_command_of_the_session_runs(tmp_path: Path, start: Run, start_process: Run) -> None:
+def test_every_command_of_the_session_runs(tmp_path: Path, start: Run, start_forked: Run) -> None:
     pytest.importorskip("onnxscript")
     said = {}
     for words in commands():
         assert words[:2] == ["python", "-m"]
         asked = [SMALLER.get(word, word) for word in words[3:]] + FASTER.get(words[2], [])
         # Only as a program of its own does this one choose the dataset.
-        ask = start_process if words[2] == "uncal.calibrate" else start
+        ask = start_forked if words[2] == "uncal.calibrate" else start
         module = f"{words[2]}.__main__" if words[2] == "uncal.monitor" else words[2]
         done = ask(module, *asked, cwd=tmp_path)
         assert done.returncode == 0, (words, done.stdout[-2000:], done.stderr[-2000:])

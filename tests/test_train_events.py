@@ -16,11 +16,11 @@ Run = Callable[..., "subprocess.CompletedProcess[str]"]
 SIMULATION = [
     "n_rigs=10",
     "frames_per_drive=4",
-    "events.subframes=4",
+    "events.subframes=3",
     "lidar.azimuth_step_deg=0.4",
 ]
-TRAINED = ["dataset.loader.batch_size=4", "trainer.max_epochs=2", "trainer.accelerator=cpu"]
-TRAINED += ["mcd.passes=4"]
+TRAINED = ["dataset.loader.batch_size=4", "trainer.max_epochs=1", "trainer.accelerator=cpu"]
+TRAINED += ["mcd.passes=4", "callbacks.figures=null"]
 
 
 def finished(process: subprocess.CompletedProcess[str]) -> str:
@@ -50,6 +50,7 @@ def demo(workplace: Path, start: Run) -> str:
     """One tiny run of the event demo; the tests below look at what it left."""
     settings = [f"dataset.simulation.{setting}" for setting in SIMULATION]
     command = ["dataset=demo_events", *settings, *TRAINED, "hydra.run.dir=first"]
+    command += ["callbacks.overlays.frames=2", "callbacks.interval_overlays.frames=2"]
     return finished(start("uncal.train", *command, cwd=workplace))
 
 
@@ -97,7 +98,7 @@ def test_a_stand_in_for_dsec_runs_from_simulation_to_table(workplace: Path, star
         "model/inputs/events=time_surface",
         "model/backbone=mobilevit_xxs",
         "model/head=mlp",
-        "callbacks.figures=null",
+        "callbacks.overlays=null",
         "callbacks.interval_overlays=null",
         "hydra.run.dir=dsec",
     ]
