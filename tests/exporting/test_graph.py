@@ -44,11 +44,19 @@ def module() -> CalibrationModule:
     """The shipped network with fixed masks, fewer rounds and passes."""
     path = find_weights("unical")
     recipe = read_recipe(path)
-    recipe.mcd.masks, recipe.mcd.passes, recipe.model.rounds = "fixed", 4, [4, 1]
+    recipe.mcd.masks, recipe.mcd.passes, recipe.model.rounds = "fixed", 4, [2, 1]
     recipe.model.start.search.samples = 64
     module = build_module(recipe)
     load_weights(module, path, calibrated=True)
     module.eval()
+    return module
+
+
+@pytest.fixture
+def short(module: CalibrationModule, monkeypatch: pytest.MonkeyPatch) -> CalibrationModule:
+    """With one round of the search at each scale: a graph writes every round out."""
+    start = module.estimator.start
+    monkeypatch.setattr(start.network, "rounds", (1, 1, 1))  # type: ignore[union-attr]
     return module
 
 
@@ -172,15 +180,15 @@ def test_edges_file_needs_numpy_alone(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_onnxruntime_says_what_pytorch_says(module: CalibrationModule, tmp_path: Path) -> None:
+def test_onnxruntime_says_what_pytorch_says(short: CalibrationModule, tmp_path: Path) -> None:
     onnxruntime = pytest.importorskip("onnxruntime")
     pytest.importorskip("onnx")
     from uncal.exporting.writer import to_onnx
 
-    graph = make(module)
+    graph = make(short)
     to_onnx(graph, example(SIZE), tmp_path / "graph.onnx")
     session = onnxruntime.InferenceSession(tmp_path / "graph.onnx")
-    bounds = module.estimator.bounds
+    bounds = short.estimator.bounds
     assert isinstance(bounds, Tensor)
     for edges in (10, 64, 300):
         arguments = example(SIZE, edges)
@@ -194,11 +202,9 @@ def test_onnxruntime_says_what_pytorch_says(module: CalibrationModule, tmp_path:
 
 @pytest.mark.slow
 def test_a_saved_program_loads_again_and_says_the_same(
-    module: CalibrationModule, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    short: CalibrationModule, tmp_path: Path
 ) -> None:
-    start = module.estimator.start
-    monkeypatch.setattr(start.network, "rounds", (1, 1, 1))  # type: ignore[union-attr]
-    graph = make(module, torch_operators)
+    graph = make(short, torch_operators)
     to_torch(graph, example(SIZE), tmp_path / "graph.pt2")
     program = torch.export.load(tmp_path / "graph.pt2").module()
     for edges in (10, 300):
