@@ -20,6 +20,12 @@ PAGES = {
     "experiment": ["trainer.max_epochs=2"],
 }
 """Page → what makes its commands quick."""
+NO_PICTURES = {
+    "uncal.train": [
+        f"callbacks.{name}=null" for name in ("figures", "overlays", "interval_overlays")
+    ],
+    "uncal.evaluate": [f"callbacks.{name}=null" for name in ("figures", "interval_overlays")],
+}
 BLOCK = re.compile(r'^```(\w+)(?: title="([^"]+)")?\n(.*?)^```$', re.DOTALL | re.MULTILINE)
 
 
@@ -56,7 +62,7 @@ def test_a_page_works_as_it_stands(
                 python, m, module, *words = shlex.split(line)
                 assert (python, m) == ("python", "-m")
                 made = [] if page in ("dataset", "interval_method") else tiny
-                quiet = ["callbacks.figures=null", *PAGES[page], *made]
+                quiet = [*NO_PICTURES[module], *PAGES[page], *made]
                 finished = start(module, *words, *quiet, cwd=workplace)
                 assert finished.returncode == 0, finished.stderr[-4000:]
                 assert "X" in finished.stdout
