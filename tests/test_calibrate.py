@@ -41,7 +41,7 @@ TINY = {
     "n_rigs": 1,
     "drives_per_rig": 10,
     "frames_per_drive": 2,
-    "camera": {"height": 48, "width": 128, "focal_px": 140.0},
+    "camera": {"height": 48, "width": 128, "focal_px": 140.0, "supersampling": 1},
     "lidar": {"beams": 32, "azimuth_step_deg": 0.6},
     "scene": {"view_m": 60.0},
 }
@@ -173,6 +173,7 @@ def test_evaluate_takes_the_file_with_its_calibration(
         "uncal.evaluate",
         *(f"weights={file}", "dataset=folder", f"dataset.root={own_rig}", "refit=false"),
         *("dataset.loader.workers=0", "dataset.stride=2", "hydra.run.dir=evaluated"),
+        *("callbacks.figures=null", "callbacks.interval_overlays=null"),
         cwd=own_rig.parent,
     )
     assert done.returncode == 0, done.stderr

@@ -16,6 +16,11 @@ pytestmark = pytest.mark.slow
 Run = Callable[..., "subprocess.CompletedProcess[str]"]
 
 SWEPT = ("-m", "mcd.passes=2,0,3")
+SMALLER = (
+    "dataset.simulation.frames_per_drive=2",
+    "dataset.simulation.lidar.azimuth_step_deg=0.6",
+    "model.start.search.samples=32",
+)
 
 
 @pytest.mark.parametrize(
@@ -35,7 +40,7 @@ def test_parallel_jobs_end_as_those_in_turn_do(
     tmp_path: Path,
 ) -> None:
     # An empty folder: jobs simulate too, in processes that a launcher has started.
-    words = [*SWEPT, *tiny, *quick, *launcher, "hydra.sweep.dir=many"]
+    words = [*SWEPT, *tiny, *quick, *SMALLER, *launcher, "hydra.sweep.dir=many"]
     # Without it, so that the multirun shares the cores itself.
     finished = start_process("uncal.train", *words, cwd=tmp_path, without="OMP_NUM_THREADS")
     assert finished.returncode == 1, finished.stderr[-4000:]
