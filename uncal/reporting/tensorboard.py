@@ -10,9 +10,15 @@ from torch.utils.tensorboard import SummaryWriter
 
 
 def add_png(writer: SummaryWriter, tag: str, path: Path, step: int | None = None) -> None:
-    """Log a PNG as it is; ``add_image`` would encode its pixels again, in up to half a second."""
-    with Image.open(path) as image:
-        (width, height), channels = image.size, len(image.getbands())
+    """Log a PNG as it is; ``add_image`` would encode its pixels again, in up to half a second.
+
+    A file that is missing or no picture is left out.
+    """
+    try:
+        with Image.open(path) as image:
+            (width, height), channels = image.size, len(image.getbands())
+    except OSError:
+        return
     picture = Summary.Image(
         height=height,
         width=width,
