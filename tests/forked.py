@@ -10,6 +10,8 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Mapping
+from functools import cache
+from multiprocessing.context import ForkServerContext
 from pathlib import Path
 
 IMPORTED = (
@@ -25,8 +27,12 @@ IMPORTED = (
 )
 """What takes a run seconds to import; imported once, when the first process is asked for."""
 
-_CONTEXT = multiprocessing.get_context("forkserver")
-_CONTEXT.set_forkserver_preload(list(IMPORTED))
+
+@cache
+def _server() -> ForkServerContext:
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(list(IMPORTED))
+    return context
 
 
 class Forked:
@@ -37,7 +43,7 @@ class Forked:
         self._output = [tempfile.NamedTemporaryFile() for _ in range(2)]  # noqa: SIM115
         names = [file.name for file in self._output]
         arguments = (module, words, str(cwd), dict(environment), names)
-        self._process = _CONTEXT.Process(target=_run, args=arguments)
+        self._process = _server().Process(target=_run, args=arguments)
         self._process.start()
 
     def is_running(self) -> bool:

@@ -49,15 +49,15 @@ def start(fork: Fork) -> Callable[[Path], Forked]:
     return start
 
 
-def kill_when(started: Forked, folder: Path, sign: str, delay: float) -> None:
-    """Kill a run a moment after it has made a file."""
+def kill_when(started: Forked, folder: Path, sign: str, delay: float) -> int:
+    """Kill a run a moment after it has made a file; how it ended."""
     deadline = time.monotonic() + 300
     while not list(folder.glob(sign)) and started.is_running():
         assert time.monotonic() < deadline
         time.sleep(0.01)
     time.sleep(delay)
     started.send_signal(signal.SIGKILL)
-    assert started.finished(timeout=60).returncode == -signal.SIGKILL
+    return started.finished(timeout=60).returncode
 
 
 def finished(started: Forked, folder: Path) -> bytes:
@@ -76,8 +76,12 @@ def test_a_run_killed_again_and_again_ends_with_the_same_bytes(
         "run/checkpoints/last.ckpt": 0.5,  # training
         "run/*.csv": 0.05,  # writing
     }
-    for sign, longest in moments.items():
+    ends = [
         kill_when(start(killed), killed, sign, rng.uniform(0, longest))
+        for sign, longest in moments.items()
+    ]
+    assert ends[:2] == [-signal.SIGKILL] * 2
+    assert ends[2] in (-signal.SIGKILL, 0)  # a busy machine may come too late for the last
     assert finished(start(killed), killed) == finished(start(whole), whole)
     left = {path.name for path in killed.rglob("*")} - {path.name for path in whole.rglob("*")}
     assert not {name for name in left if name.startswith((".partial_", "best-", "last-"))}
