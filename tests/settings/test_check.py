@@ -120,6 +120,8 @@ def test_refusals(configured: Configured, words: list[str], said: str) -> None:
         ([], ["trainer.limit_train_batches=0.5", "dataset.drives=2011_09_26/0001"]),
         (["dataset=demo_events", "interval=hierarchical"], ["dataset.sequences=[zurich_city_0*]"]),
         (["model=edges"], []),
+        ([], ["model.start.network.surround=[4.0,4,2.5]"]),
+        (["model=edges"], ["model.network.surround=[0,4,2.5]"]),
     ],
 )
 def test_what_is_right_passes(configured: Configured, choices: list[str], words: list[str]) -> None:
